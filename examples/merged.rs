@@ -2,10 +2,11 @@
 //!
 //! ```sh
 //! cargo run --example merged emulated@0.2,0,0 emulated@-0.2,0,180
-//! cargo run --example merged serial:H0713090@0.2,0,0 serial:H0713091@-0.2,0,180
+//! cargo run --example merged serial:H0713090@0.2,0,0 serial:H0713091@-0.2,0,180,upside-down
 //! ```
 //!
-//! Each sensor has its place: metres ahead, metres to the left, degrees counter-clockwise.
+//! Each sensor has its place: metres ahead, metres to the left, degrees counter-clockwise, and
+//! `upside-down` if it is mounted so.
 //! Name sensors by their serial numbers, since USB ports are numbered in the order of
 //! plugging. Each line names the sensors without a fresh scan, and the reason.
 
@@ -21,12 +22,13 @@ const PERIOD: Duration = Duration::from_millis(100);
 /// An older scan shows where things were, and not where they are.
 const LIMIT: Duration = Duration::from_millis(300);
 
-/// Parses `X,Y,DEGREES`.
+/// Parses `X,Y,DEGREES`, with or without `,upside-down`.
 pub(crate) fn parse(text: &str) -> Option<Pose> {
-    let numbers: Vec<f64> =
-        text.split(',').map(|number| number.parse().ok()).collect::<Option<_>>()?;
+    let upright = text.strip_suffix(",upside-down");
+    let numbers = upright.unwrap_or(text).split(',').map(|number| number.parse().ok());
+    let numbers: Vec<f64> = numbers.collect::<Option<_>>()?;
     let &[x, y, degrees] = numbers.as_slice() else { return None };
-    Some(Pose { x, y, heading: degrees.to_radians() })
+    Some(Pose { x, y, heading: degrees.to_radians(), upside_down: upright.is_some() })
 }
 
 /// A sensor on the vehicle.

@@ -60,8 +60,9 @@ impl Odometry {
 /// Moves a point to where the first ray would have seen it.
 fn steady(point: Point, motion: Pose, scan: &Scan) -> (f64, f64) {
     let share = f64::from(point.offset) / scan.scan_time().as_secs_f64();
-    let Pose { x, y, heading } = motion;
-    Pose { x: x * share, y: y * share, heading: heading * share }.transform(point.x, point.y)
+    let Pose { x, y, heading, .. } = motion;
+    let part = Pose { x: x * share, y: y * share, heading: heading * share, ..motion };
+    part.transform(point.x, point.y)
 }
 
 /// Points between two others of the same wall.
@@ -105,7 +106,7 @@ fn align(reference: &[WallPoint], points: &[(f64, f64)], guess: Pose) -> Pose {
             }
         }
         let Some([x, y, heading]) = solve(matrix, vector) else { break };
-        pose = Pose { x: pose.x + x, y: pose.y + y, heading: pose.heading + heading };
+        pose = Pose { x: pose.x + x, y: pose.y + y, heading: pose.heading + heading, ..pose };
     }
     pose
 }
@@ -129,7 +130,10 @@ pub(crate) mod emulated {
     use urg_emulator::{Emulator, Path, Scene};
 
     fn path() -> Path {
-        let pose = |x, y, degrees: f64| Pose { x, y, heading: degrees.to_radians() };
+        let pose = |x, y, degrees: f64| {
+            let heading = degrees.to_radians();
+            Pose { x, y, heading, ..Pose::default() }
+        };
         Path::new([
             (Duration::from_secs(1), pose(-1.0, -0.4, 0.0)),
             (Duration::from_secs(3), pose(0.0, -0.3, 10.0)),
@@ -162,7 +166,7 @@ async fn main() -> Result<(), Error> {
     let mut odometry = Odometry::default();
     while let Some(scan) = scans.next().await {
         let Ok(scan) = scan else { continue }; // the motion goes on
-        let Pose { x, y, heading } = odometry.add(&scan);
+        let Pose { x, y, heading, .. } = odometry.add(&scan);
         print!("x {x:.3} y {y:.3} heading {:.1}°", heading.to_degrees());
         match emulator.as_ref().and_then(emulated::truth) {
             Some(truth) => println!(", off by {:.3} m", (x - truth.x).hypot(y - truth.y)),

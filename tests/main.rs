@@ -15,6 +15,7 @@ mod limits;
 mod link;
 mod polling;
 mod ports;
+mod poses;
 mod properties;
 mod protocol;
 mod simulation;

@@ -108,29 +108,55 @@ fn a_room_is_the_same_on_every_machine() {
 #[test]
 fn sensors_at_two_places_measure_the_same_walls() {
     let room = || Room::sized(3, 5000, 4400, 0);
-    let (x, y, yaw) = (0.5, -0.3, 90.0);
     // Places are in the room's frame, in metres.
-    let places = |values: &Values, (x, y, yaw): (f64, f64, f64)| -> Vec<(f64, f64)> {
+    let places = |values: &Values, pose: Pose| -> Vec<(f64, f64)> {
         let measured = values.iter().enumerate().filter(|(_, value)| **value >= 20);
         let place = |(step, &value): (usize, &u32)| {
-            let angle = (step as f64 - 384.0) * std::f64::consts::TAU / 1024.0 + yaw.to_radians();
+            let angle = (step as f64 - 384.0) * std::f64::consts::TAU / 1024.0;
+            let angle = pose.heading + if pose.upside_down { -angle } else { angle };
             let range = f64::from(value) / 1000.0;
-            (x + range * angle.cos(), y + range * angle.sin())
+            (pose.x + range * angle.cos(), pose.y + range * angle.sin())
         };
         measured.map(place).collect()
     };
-    let ours = places(&measured(room(), 1)[0], (0.0, 0.0, 0.0));
+    let ours = places(&measured(room(), 1)[0], Pose::default());
     let share_that_meets = |theirs: Vec<(f64, f64)>| {
         let near = |a: (f64, f64), b: (f64, f64)| (a.0 - b.0).hypot(a.1 - b.1) < 0.06;
         let meets = theirs.iter().filter(|place| ours.iter().any(|ours| near(*ours, **place)));
         meets.count() as f64 / theirs.len() as f64
     };
-    let moved = measured(room().seen_from(x, y, yaw), 1)[0];
-    // The rest is hidden from the other sensor, or out of its range.
-    assert!(share_that_meets(places(&moved, (x, y, yaw))) > 0.5);
-    assert!(share_that_meets(places(&measured(room(), 1)[0], (x, y, yaw))) < 0.2);
-    let outside = measured(room().seen_from(9.0, 0.0, 180.0), 1)[0];
+    for upside_down in [false, true] {
+        let pose = Pose { x: 0.5, y: -0.3, heading: 90f64.to_radians(), upside_down };
+        let moved = measured(room().seen_from(pose), 1)[0];
+        // The rest is hidden from the other sensor, or out of its range.
+        assert!(share_that_meets(places(&moved, pose)) > 0.5);
+        let wrong = Pose { upside_down: !upside_down, ..pose };
+        assert!(share_that_meets(places(&moved, wrong)) < 0.3);
+        assert!(share_that_meets(places(&measured(room(), 1)[0], pose)) < 0.2);
+    }
+    let outside = measured(room().seen_from(Pose { x: 9.0, ..Pose::default() }), 1)[0];
     assert!(outside.iter().all(|value| *value < 20));
+}
+
+/// Expectations are by hand: a sensor under a ceiling calls left what is right of its front.
+#[test]
+fn an_upside_down_sensor_counts_its_steps_clockwise() {
+    let pillar = |at| Scene::new(0).without_noise().disc(at, 0.1);
+    for (upside_down, heading, at, step) in [
+        (false, 0.0, (0.0, 1.0), 640), // 90 degrees to the left
+        (true, 0.0, (0.0, 1.0), 128),
+        (true, 0.0, (1.0, 0.0), 384),
+        (true, 90.0, (1.0, 0.0), 640),
+        (true, 90.0, (-1.0, 0.0), 128),
+        (true, 180.0, (0.0, 1.0), 640),
+    ] {
+        let pose = Pose { heading: f64::to_radians(heading), upside_down, ..Pose::default() };
+        let path = Path::new([(Duration::ZERO, pose)]);
+        let values = measured(pillar(at).sensor_on(path), 1)[0];
+        let seen: Vec<usize> = (44..=725).filter(|&step| values[step] >= 20).collect();
+        assert_eq!((seen[0] + seen[seen.len() - 1]) / 2, step, "{pose:?} {at:?}");
+        assert_eq!(values[step], 900);
+    }
 }
 
 #[test]
@@ -241,7 +267,7 @@ async fn sensors_with_the_same_seed_send_the_same_bytes() {
 #[tokio::test(start_paused = true)]
 async fn a_moving_sensor_measures_each_ray_in_time() {
     // The sensor moves at 1 m/s towards a wall, turned to the left.
-    let pose = |x| Pose { x, y: 0.3, heading: 0.2 };
+    let pose = |x| Pose { x, y: 0.3, heading: 0.2, upside_down: false };
     let path = Path::new([(Duration::ZERO, pose(0.0)), (Duration::from_secs(2), pose(2.0))]);
     let wall = Scene::new(0).without_noise().wall((3.0, -5.0), (3.0, 5.0));
     let emulator = Emulator::builder().world(wall.sensor_on(path.clone())).build();
@@ -264,7 +290,7 @@ async fn a_moving_sensor_measures_each_ray_in_time() {
             last = Some(pose);
         }
     }
-    assert!(values.len() > 50 && last == Some(Pose { x: 2.0, y: 0.3, heading: 0.2 }), "{last:?}");
+    assert!(values.len() > 50 && last == Some(pose(2.0)), "{last:?}");
 }
 
 #[test]

@@ -13,7 +13,7 @@ fn a_transform_is_seven_aligned_numbers() {
         parent: "base".to_owned(),
         child: "laser".to_owned(),
         translation: [0.5, -1.0, 2.0],
-        yaw: PI,
+        rotation: [0.0, 0.0, PI],
     };
     let mut out = vec![9];
     write_transforms(&mut out, SystemTime::UNIX_EPOCH + Duration::new(2, 100), &[transform]);
@@ -26,6 +26,42 @@ fn a_transform_is_seven_aligned_numbers() {
         expected.extend_from_slice(&f64::to_le_bytes(number));
     }
     assert_eq!(out, expected);
+}
+
+/// Rotates a point by each axis in turn, and by the written quaternion.
+#[test]
+fn a_rotation_is_roll_then_pitch_then_yaw() {
+    let point = [1.0, 2.0, 3.0];
+    for rotation in [[PI, 0.0, 0.3], [0.0, 0.4, 0.0], [0.7, 0.0, 0.0], [0.7, -0.4, 2.5]] {
+        let transform = Transform {
+            parent: "a".to_owned(),
+            child: "b".to_owned(),
+            translation: [0.0; 3],
+            rotation,
+        };
+        let mut out = Vec::new();
+        write_transforms(&mut out, SystemTime::UNIX_EPOCH, &[transform]);
+        let numbers = out[out.len() - 32..].chunks(8);
+        let numbers: Vec<f64> =
+            numbers.map(|bytes| f64::from_le_bytes(bytes.try_into().unwrap())).collect();
+        let [x, y, z, w] = numbers[..] else { panic!("{numbers:?}") };
+        let cross = |a: [f64; 3]| [y * a[2] - z * a[1], z * a[0] - x * a[2], x * a[1] - y * a[0]];
+        let once = cross(point);
+        let twice = cross(once);
+        let turned: [f64; 3] = std::array::from_fn(|n| point[n] + 2.0 * (w * once[n] + twice[n]));
+        let expected = rotation.iter().zip([(1, 2), (2, 0), (0, 1)]).fold(
+            point,
+            |mut point, (angle, (from, to))| {
+                let (sin, cos) = angle.sin_cos();
+                let (a, b) = (point[from], point[to]);
+                (point[from], point[to]) = (a * cos - b * sin, a * sin + b * cos);
+                point
+            },
+        );
+        for (turned, expected) in turned.into_iter().zip(expected) {
+            assert!((turned - expected).abs() < 1e-12, "{rotation:?}: {turned} {expected}");
+        }
+    }
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! [`Pose`]: a place and a heading in the plane, and points moved by it.
+//! [`Pose`]: place and heading of a sensor, upside down or not, and points moved by it.
 
 use std::f64::consts::{PI, TAU};
 use std::ops::Mul;
@@ -13,14 +13,15 @@ use super::{Point, Scan};
 /// ```
 /// use tokio_scip::scan::Pose;
 ///
-/// let vehicle = Pose { x: 10.0, y: 5.0, heading: 90f64.to_radians() }; // on the map
-/// let sensor = Pose { x: 0.2, y: 0.0, heading: 0.0 }; // on the vehicle
-/// let (x, y) = (vehicle * sensor).transform(1.0, 0.0); // 1 m ahead of the sensor
-/// assert!((x - 10.0).abs() < 1e-9 && (y - 6.2).abs() < 1e-9);
+/// // On the map, and on the vehicle.
+/// let vehicle = Pose { x: 10.0, y: 5.0, heading: 90f64.to_radians(), ..Pose::default() };
+/// let sensor = Pose { x: 0.2, upside_down: true, ..Pose::default() };
+/// let (x, y) = (vehicle * sensor).transform(1.0, -0.5); // 1 m ahead of it, 0.5 m to its right
+/// assert!((x - 9.5).abs() < 1e-9 && (y - 6.2).abs() < 1e-9); // to the left of the vehicle
 /// ```
 ///
 /// Numbers that are not finite make results that are not finite. As data (feature `serde`) it
-/// is `x`, `y` and `heading`.
+/// is `x`, `y`, `heading`, and `upside_down`, which may be left out.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Pose {
@@ -28,8 +29,12 @@ pub struct Pose {
     pub x: f64,
     /// Metres to its left.
     pub y: f64,
-    /// Radians counter-clockwise from its x axis.
+    /// Direction of the sensor's front: radians counter-clockwise from the other frame's x axis.
     pub heading: f64,
+    /// True if the sensor is turned over about its x axis (a roll of 180 degrees): its left is
+    /// to the right of its heading.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub upside_down: bool,
 }
 
 impl Pose {
@@ -50,15 +55,22 @@ impl Pose {
 
     /// Returns the pose that maps back: the pose of the other frame in this one.
     pub fn inverse(&self) -> Self {
-        let back = Self { x: 0.0, y: 0.0, heading: -self.heading };
+        let heading = -self.turned(self.heading);
+        let back = Self { x: 0.0, y: 0.0, heading, upside_down: self.upside_down };
         let (x, y) = back.transform(-self.x, -self.y);
-        Self { x, y, heading: wrapped(back.heading) }
+        Self { x, y, heading: wrapped(heading), ..back }
+    }
+
+    /// Returns an angle of the sensor's frame counter-clockwise in the other one.
+    fn turned(&self, angle: f64) -> f64 {
+        if self.upside_down { -angle } else { angle }
     }
 
     /// Computes the sine once for all points.
     fn transformer(&self) -> impl Fn(f64, f64) -> (f64, f64) + Copy + use<> {
         let (Self { x: ahead, y: left, .. }, (sin, cos)) = (*self, self.heading.sin_cos());
-        move |x, y| (ahead + x * cos - y * sin, left + x * sin + y * cos)
+        let side = self.turned(1.0);
+        move |x, y| (ahead + x * cos - side * y * sin, left + x * sin + side * y * cos)
     }
 }
 
@@ -67,10 +79,10 @@ impl Mul for Pose {
 
     /// Chains two poses: `inner` is in the frame whose pose is `self`. The heading is in -pi
     /// to pi.
-    #[expect(clippy::suspicious_arithmetic_impl, reason = "a product of rotations adds angles")]
     fn mul(self, inner: Self) -> Self {
         let (x, y) = self.transform(inner.x, inner.y);
-        Self { x, y, heading: wrapped(self.heading + inner.heading) }
+        let heading = wrapped(self.heading + self.turned(inner.heading));
+        Self { x, y, heading, upside_down: self.upside_down != inner.upside_down }
     }
 }
 
@@ -98,7 +110,7 @@ mod tests {
     #[test]
     fn a_moved_scan_keeps_what_the_sensor_measured() {
         let scan = scan(window(384, 640, 1));
-        let pose = Pose { x: 10.0, y: -4.0, heading: 1.0 };
+        let pose = Pose { x: 10.0, y: -4.0, heading: 1.0, upside_down: true };
         assert_eq!(pose.transform_scan(&scan).count(), 257);
         for (moved, point) in pose.transform_scan(&scan).zip(scan.points()) {
             assert_eq!(Point { x: point.x, y: point.y, ..moved }, point);
@@ -107,18 +119,40 @@ mod tests {
         }
     }
 
+    /// Rotates a point as tf2 does: roll about x, then yaw about z, in three dimensions.
+    fn rotated(pose: Pose, (x, y, z): (f64, f64, f64)) -> (f64, f64, f64) {
+        let (sin, cos) = if pose.upside_down { (0.0, -1.0) } else { (0.0, 1.0) };
+        let (y, z) = (y * cos - z * sin, y * sin + z * cos);
+        let (sin, cos) = pose.heading.sin_cos();
+        (x * cos - y * sin, x * sin + y * cos, z)
+    }
+
+    fn poses() -> impl Strategy<Value = Pose> {
+        (-100.0..100.0, -100.0..100.0, -10.0..10.0, any::<bool>())
+            .prop_map(|(x, y, heading, upside_down)| Pose { x, y, heading, upside_down })
+    }
+
     proptest! {
         #[test]
         fn a_point_moved_there_and_back_is_where_it_was(
-            x in -100.0..100.0, y in -100.0..100.0, heading in -10.0..10.0,
-            point in (-100.0..100.0, -100.0..100.0),
+            pose in poses(), point in (-100.0..100.0, -100.0..100.0),
         ) {
-            let pose = Pose { x, y, heading };
             let (there_x, there_y) = pose.transform(point.0, point.1);
             prop_assert!(near(pose.inverse().transform(there_x, there_y), point));
             let nowhere = pose * pose.inverse();
             prop_assert!(near((nowhere.x, nowhere.y), (0.0, 0.0)) && nowhere.heading.abs() < 1e-9);
-            prop_assert!(pose.inverse().heading.abs() <= PI);
+            prop_assert!(pose.inverse().heading.abs() <= PI && !nowhere.upside_down);
+        }
+
+        #[test]
+        fn a_pose_moves_points_as_tf2_does(
+            pose in poses(), inner in poses(), point in (-100.0..100.0, -100.0..100.0),
+        ) {
+            let (x, y, z) = rotated(pose, (point.0, point.1, 0.0));
+            prop_assert!(near(pose.transform(point.0, point.1), (pose.x + x, pose.y + y)));
+            prop_assert!(z.abs() < 1e-9);
+            let (x, y) = inner.transform(point.0, point.1);
+            prop_assert!(near((pose * inner).transform(point.0, point.1), pose.transform(x, y)));
         }
     }
 }

@@ -47,7 +47,7 @@ pub struct Point {
     pub y: f32,
     /// Metres from the sensor, in any frame.
     pub range: f32,
-    /// Radians counter-clockwise from the sensor's front, in any frame.
+    /// Radians counter-clockwise from the sensor's front, seen from its top, in any frame.
     pub angle: f32,
     /// Step of its ray, or the first step of a cluster.
     pub step: Step,

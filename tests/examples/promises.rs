@@ -310,6 +310,7 @@ async fn scans_are_merged_in_the_frame_of_the_vehicle() {
     let point = pose.transform_scan(&scan).next().unwrap();
     assert!((point.x + 1.5).abs() < 1e-5 && (point.y - 0.1).abs() < 1e-5, "{point:?}");
     assert_eq!(merged::parse("1,2"), None);
+    assert!(merged::parse("1,2,0,upside-down").unwrap().upside_down);
 
     // A sensor that is lost leaves the cloud.
     let mut scans = sensor.scans(scan.window(), tokio_scip::Rate::hz(10.0)).await.unwrap();

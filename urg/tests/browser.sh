@@ -182,8 +182,11 @@ stop server
 # Two sensors, of which one goes away.
 size 1280 800 1 false
 theme dark
-served "front=emulated@0.3,0,0" "rear=$work/urg@-0.3,0,180"
+served "front=emulated@0.3,0,0" "rear=$work/urg@-0.3,0,180,upside-down"
 status Live
+# The left of a sensor that looks back is on the left, if it hangs upside down.
+becomes "return radar.place(radar.layers[1], Math.PI / 2, 1)[0] < radar.place(radar.layers[1], 0, 0)[0]" true
+becomes "return radar.place(radar.layers[0], Math.PI / 2, 1)[0] < radar.place(radar.layers[0], 0, 0)[0]" true
 becomes "return [...document.querySelectorAll('[data-of=state]')].map(e => e.textContent).join()" '"Live,Live"'
 picture two
 zoomed

@@ -9,7 +9,7 @@ use super::web::Served;
 
 #[test]
 fn each_line_names_its_sensor() {
-    let served = Served::start("front=emulated@0.2,0,0 rear=emulated@-0.2,0.5,180");
+    let served = Served::start("front=emulated@0.2,0,0 rear=emulated@-0.2,0.5,180,upside-down");
     let mut scans = served.get("/scans");
     let mut seen = BTreeSet::new();
     while seen.len() < 2 {
@@ -20,7 +20,8 @@ fn each_line_names_its_sensor() {
     assert_eq!(seen.into_iter().collect::<Vec<_>>(), ["front", "rear"]);
     let state = served.json("/state");
     let rear = &state["sensors"][1];
-    assert_eq!(rear["pose"], serde_json::json!({ "x": -0.2, "y": 0.5, "yaw": 180.0 }));
+    let place = serde_json::json!({ "x": -0.2, "y": 0.5, "yaw": 180.0, "upside_down": true });
+    assert_eq!(rear["pose"], place);
     assert!(rear["stats"]["scans"].as_u64().unwrap() > 0, "{rear}");
     let metrics = served.get("/metrics").text();
     for name in ["front", "rear"] {
@@ -85,7 +86,17 @@ fn several_sensors_need_names_and_places() {
         run(&format!("serve {arguments}"), 2);
         run(&format!("view {arguments}"), 2);
     }
-    for place in ["1,2", "1,2,3,4", "1,2,x", "1,2,inf", "1,,2", "1e8,0,0", "0,-1001,0", "0,0,361"] {
+    for place in [
+        "1,2",
+        "1,2,3,4",
+        "1,2,3,90,0",
+        "1,2,x",
+        "1,2,inf",
+        "1,,2",
+        "1e8,0,0",
+        "0,-1001,0",
+        "0,0,361",
+    ] {
         let stderr = run(&format!("view a=emulated@{place}"), 2).stderr;
         assert!(stderr.contains("expected X,Y,YAW"), "{place}: {stderr}");
     }

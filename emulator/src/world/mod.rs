@@ -2,8 +2,9 @@
 //! values are known in advance.
 //!
 //! `scene` and `room` are made of shapes (`surface`, `walk`), whose echoes `sweep`
-//! turns into values. `sparse` removes distances of any world.
+//! turns into values, as seen from a `mount`. `sparse` removes distances of any world.
 
+mod mount;
 mod path;
 mod room;
 mod scene;

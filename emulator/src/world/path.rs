@@ -32,7 +32,7 @@ impl Path {
     }
 
     /// True pose at a time after power-up. The sensor stands before the first pose and after the
-    /// last one.
+    /// last one. It is upside down if the latest pose is.
     ///
     /// [`SentScan::time`](crate::SentScan::time) has the times of a scan and of its rays.
     pub fn pose(&self, time: Duration) -> Pose {
@@ -45,6 +45,7 @@ impl Path {
                     x: between(from.x, to.x),
                     y: between(from.y, to.y),
                     heading: between(from.heading, to.heading),
+                    upside_down: from.upside_down,
                 }
             }
             (Some((_, pose)), None) | (None, Some((_, pose))) => *pose,

@@ -1,5 +1,8 @@
 //! [`Room`]: a room with furniture and people in it, so that scans look real.
 
+use tokio_scip::scan::Pose;
+
+use super::mount::Mount;
 use super::sparse::Sparse;
 use super::surface::{Echo, Surface, Vector, nearest};
 use super::sweep::{Noise, sweep};
@@ -25,10 +28,7 @@ pub struct Room {
     walls: [f64; 4],
     furniture: Vec<Surface>,
     people: Vec<Person>,
-    /// Where the sensor stands.
-    at: Vector,
-    /// Cosine and sine of the direction that it looks in.
-    heading: Vector,
+    sensor: Mount,
 }
 
 impl Room {
@@ -69,19 +69,17 @@ impl Room {
                 Person { from: place(), to: place(), ahead: between(0.0, 10_000.0) }
             })
             .collect();
-        Self { seed, walls, furniture, people, at: (0.0, 0.0), heading: (1.0, 0.0) }
+        Self { seed, walls, furniture, people, sensor: Mount::at(Pose::default()) }
     }
 
-    /// Moves the sensor `x` metres ahead and `y` metres to the left of where it stands
-    /// otherwise, and turns it counter-clockwise by `yaw` degrees. Sensors in rooms with the
+    /// Moves and turns the sensor from where it stands otherwise. Sensors in rooms with the
     /// same seed and size measure the same walls from their places.
     ///
     /// A sensor outside the walls measures no distance. The sine of an angle differs between
     /// machines in its last digit, so a turned sensor's values may differ by a millimetre.
     #[must_use]
-    pub fn seen_from(mut self, x: f64, y: f64, yaw: f64) -> Self {
-        let (sine, cosine) = yaw.to_radians().sin_cos();
-        (self.at, self.heading) = ((x * 1000.0, y * 1000.0), (cosine, sine));
+    pub fn seen_from(mut self, pose: Pose) -> Self {
+        self.sensor = Mount::at(pose);
         self
     }
 
@@ -100,7 +98,7 @@ impl Room {
     /// Echo of the walls, the doorway and the window.
     fn wall(&self, (x, y): Vector) -> Echo {
         let [front, left, back, right] = self.walls;
-        let (ahead, beside) = self.at;
+        let (ahead, beside) = self.sensor.place;
         if !(-back..front).contains(&ahead) || !(-right..left).contains(&beside) {
             return Echo::NONE;
         }
@@ -130,10 +128,9 @@ impl World for Room {
         let people = self.people.iter();
         let legs: Vec<_> = people.flat_map(|person| person.legs(walked)).collect();
         let things = self.furniture.iter().chain(&legs);
-        let things: Vec<_> = things.map(|thing| thing.seen_from(self.at)).collect();
-        let (cosine, sine) = self.heading;
-        sweep(Noise::Seeded(self.seed), time, values, |_, (x, y)| {
-            let direction = (x * cosine - y * sine, y * cosine + x * sine);
+        let things: Vec<_> = things.map(|thing| thing.seen_from(self.sensor.place)).collect();
+        sweep(Noise::Seeded(self.seed), time, values, |_, direction| {
+            let direction = self.sensor.direction(direction);
             nearest(&things, direction, self.wall(direction))
         });
     }

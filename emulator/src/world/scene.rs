@@ -3,6 +3,7 @@
 
 use std::time::Duration;
 
+use super::mount::Mount;
 use super::path::Path;
 use super::surface::{Echo, Surface, nearest};
 use super::sweep::{Noise, sweep};
@@ -133,12 +134,9 @@ impl World for Scene {
             match &self.sensor {
                 None => nearest(surfaces, direction, Echo::NONE),
                 Some(path) => {
-                    let pose = path.pose(time.at_step(step));
-                    let ((x, y), (sine, cosine)) = (direction, pose.heading.sin_cos());
-                    let direction = (x * cosine - y * sine, y * cosine + x * sine);
-                    let place = millimetres((pose.x, pose.y));
-                    let seen = surfaces.map(|surface| surface.seen_from(place));
-                    nearest(seen, direction, Echo::NONE)
+                    let sensor = Mount::at(path.pose(time.at_step(step)));
+                    let seen = surfaces.map(|surface| surface.seen_from(sensor.place));
+                    nearest(seen, sensor.direction(direction), Echo::NONE)
                 }
             }
         });

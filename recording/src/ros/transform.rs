@@ -45,8 +45,22 @@ pub struct Transform {
     pub child: String,
     /// Position of the child's origin: x, y and z in metres.
     pub translation: [f64; 3],
-    /// Rotation of the child about the parent's z axis, in radians counter-clockwise.
-    pub yaw: f64,
+    /// Roll, pitch and yaw of the child in radians, about the parent's x, y and z axis in this
+    /// order. A sensor mounted upside down has a roll of π.
+    pub rotation: [f64; 3],
+}
+
+impl Transform {
+    /// Computes x, y, z and w of the rotation.
+    fn quaternion(&self) -> [f64; 4] {
+        let [(sr, cr), (sp, cp), (sy, cy)] = self.rotation.map(|angle| (angle / 2.0).sin_cos());
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ]
+    }
 }
 
 /// Writes a `tf2_msgs/msg/TFMessage` into `out`, in place of what was there. A `stamp`
@@ -57,8 +71,7 @@ pub fn write_transforms(out: &mut Vec<u8>, stamp: SystemTime, transforms: &[Tran
     for transform in transforms {
         write_header(&mut cdr, stamp, &transform.parent);
         cdr.string(&transform.child);
-        let (sin, cos) = (transform.yaw / 2.0).sin_cos();
-        let rotation = [0.0, 0.0, sin, cos];
-        transform.translation.into_iter().chain(rotation).for_each(|number| cdr.f64(number));
+        let numbers = transform.translation.into_iter().chain(transform.quaternion());
+        numbers.for_each(|number| cdr.f64(number));
     }
 }

@@ -56,7 +56,8 @@ pub(crate) struct Publish {
     engine: EngineName,
     #[command(flatten)]
     names: NameArgs,
-    /// Pose of the sensor in the frame PARENT, in metres and degrees, for /tf_static; for
+    /// Pose of the sensor in the frame PARENT, in metres and degrees, for /tf_static;
+    /// `PARENT,X,Y,Z,YAW,upside-down` if it is, and `YAW,PITCH,ROLL` if it is tilted; for
     /// several sensors, repeat the option in the same order
     #[arg(long, value_name = "PARENT,X,Y,Z,YAW", value_parser = mounting, help_heading = "ROS")]
     tf: Vec<Transform>,
@@ -295,18 +296,19 @@ fn seconds(text: &str) -> Result<f64, &'static str> {
         .ok_or("expected seconds between -3600 and 3600, such as -0.005")
 }
 
-/// Parses `--tf`: `PARENT,X,Y,Z,YAW`: metres forward, left and up, and degrees counter-clockwise. The
-/// child, the frame of the sensor, is not known yet.
+/// Parses `--tf`: `PARENT,X,Y,Z,YAW`: metres forward, left and up, and degrees counter-clockwise, with
+/// more for a sensor that is not upright. The child, the frame of the sensor, is not known yet.
 fn mounting(text: &str) -> Result<Transform, String> {
     let (parent, numbers) = text.split_once(',').unwrap_or((text, ""));
     let is_frame = frame_id(parent).is_ok() && !parent.starts_with('/');
-    match pose::distances_and_angle(numbers).filter(|_| is_frame) {
-        Some((translation, yaw)) => {
-            Ok(Transform { parent: parent.to_owned(), child: String::new(), translation, yaw })
+    match pose::distances_and_angles(numbers).filter(|_| is_frame) {
+        Some((translation, rotation)) => {
+            Ok(Transform { parent: parent.to_owned(), child: String::new(), translation, rotation })
         }
         None => Err(format!(
             "expected PARENT,X,Y,Z,YAW in metres and degrees, such as base_link,0.2,0,0.1,90, \
-                     and at most {FARTHEST} m and 360°"
+             at most {FARTHEST} m and 360°, and `,upside-down` or `,PITCH,ROLL` after it for a \
+             sensor that is not upright"
         )),
     }
 }

@@ -62,8 +62,8 @@ Addresses:
 
 Several sensors in one picture: NAME=PORT@X,Y,YAW, such as front=PORT@0.2,0,180. X
 is in metres ahead of the common origin, Y to its left, and YAW in degrees
-counter-clockwise. The lines of /scans then name their sensor. A sensor that fails
-does not affect the others.
+counter-clockwise; write X,Y,YAW,upside-down for a sensor mounted so. The lines of
+/scans then name their sensor. A sensor that fails does not affect the others.
 
 Examples:
   urg serve /dev/ttyACM0                    then open http://127.0.0.1:8080/

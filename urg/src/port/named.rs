@@ -77,12 +77,12 @@ impl FromStr for PlacedPort {
     }
 }
 
-/// Checks whether `text` begins like a number or has three parts, and so is a pose, even if an
-/// invalid one, and not part of a path.
+/// Checks whether `text` begins like a number or has three parts or more, and so is a pose, even if
+/// an invalid one, and not part of a path.
 fn is_meant_as_pose(text: &str) -> bool {
     let is_file = text.contains('/') || text.ends_with(".mcap");
     text.starts_with(|c: char| c.is_ascii_digit() || "+-.".contains(c))
-        || (text.matches(',').count() == 2 && !is_file)
+        || (text.matches(',').count() >= 2 && !is_file)
 }
 
 #[cfg(test)]
@@ -109,9 +109,12 @@ mod tests {
     fn a_place_stands_behind_the_port() {
         let placed: PlacedPort = "front=emulated@0.2,-1,180".parse().unwrap();
         assert_eq!(placed.named.name.as_deref(), Some("front"));
-        assert_eq!(placed.pose, Pose { x: 0.2, y: -1.0, heading: std::f64::consts::PI });
+        let heading = std::f64::consts::PI;
+        assert_eq!(placed.pose, Pose { x: 0.2, y: -1.0, heading, upside_down: false });
         // The emulated sensor measures its room from that pose.
         assert!(matches!(placed.named.port, PortName::Emulated(pose) if pose == placed.pose));
+        let placed: PlacedPort = "emulated@0,0,0,upside-down".parse().unwrap();
+        assert!(placed.pose.upside_down);
         for port in ["emulated", "/dev/x@y", "a@b,c,d.mcap"] {
             let placed: PlacedPort = port.parse().unwrap();
             assert_eq!(

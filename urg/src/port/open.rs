@@ -11,7 +11,6 @@ use crate::args::LinkArgs;
 use crate::delivery::Delivery;
 use crate::failure::{Failure, chain};
 use crate::output::notice::notice;
-use crate::plot::pose;
 
 /// Wait before a notice names what the program is waiting for.
 const SILENT_WAIT: Duration = Duration::from_secs(1);
@@ -42,8 +41,7 @@ pub(crate) fn begin(
     Ok(match port {
         PortName::Endpoint(endpoint) => spawn(builder, endpoint.clone().into_connector()),
         PortName::Emulated(pose) => {
-            let room = Room::new(0).seen_from(pose.x, pose.y, pose::yaw(*pose));
-            let emulator = Emulator::builder().world(room);
+            let emulator = Emulator::builder().world(Room::new(0).seen_from(*pose));
             // `--baud` needs an emulated RS-232 sensor: USB has no baud rate.
             let emulator = match link.baud {
                 Some(_) => emulator.baud_rate(BaudRate::B19200),

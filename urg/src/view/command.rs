@@ -17,8 +17,8 @@ use crate::stream::follow::StreamEnd;
 ///
 /// Continues by itself when an unplugged sensor comes back. Several sensors are shown in
 /// one frame, each at its place: X is in metres ahead of the common origin, Y to its
-/// left, and YAW in degrees counter-clockwise. A sensor that fails does not affect the
-/// others. A recording can be paused, stepped and searched, and stays on its last scan.
+/// left, and YAW in degrees counter-clockwise; write `X,Y,YAW,upside-down` for a sensor
+/// mounted so. A sensor that fails does not affect the others. A recording can be paused, stepped and searched, and stays on its last scan.
 /// `?` shows the keys, `q` quits. NO_COLOR=1 switches colours off.
 #[derive(Debug, clap::Args)]
 #[command(after_help = examples())]

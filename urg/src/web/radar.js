@@ -1,6 +1,7 @@
 // Radar: draws scans, independent of their source. The front is up, and angles count to
-// the left. Each layer is a sensor: its scan, its trail, its place in the common frame
-// (metres, radians), and its colour if there are several sensors.
+// the left, seen from the sensor's top. Each layer is a sensor: its scan, its trail, its
+// place in the common frame (metres, radians, upside down or not), and its colour if there
+// are several sensors.
 
 // The server defines what a sensor measures (GEOMETRY), the radius of its sector (REACH), the
 // metres that share a colour (BAND), and the number of colours (BANDS).
@@ -28,6 +29,12 @@ function indexOf(scan, angle) {
   const index = Math.round((angle - scan.angle_min) / scan.angle_increment);
   return index >= 0 && index < scan.values.length ? index : null;
 }
+
+// Converts a direction in the sensor's frame to one in the common frame, and back.
+const bearing = (pose, angle) => pose.yaw + (pose.upsideDown ? -angle : angle);
+const bearingBack = (pose, angle) => pose.upsideDown ? pose.yaw - angle : angle - pose.yaw;
+
+const ORIGIN = { pose: { x: 0, y: 0, yaw: 0, upsideDown: false } };
 
 class Radar {
   constructor(canvas) {
@@ -81,11 +88,11 @@ class Radar {
   // Scale (pixels per metre) and place of the origin that show all sectors and their rims.
   fitted() {
     let [left, right, top, bottom] = [-0.3, 0.3, 0.3, -0.3];
-    const layers = this.layers.length ? this.layers : [{ pose: { x: 0, y: 0, yaw: 0 } }];
+    const layers = this.layers.length ? this.layers : [ORIGIN];
     for (const layer of layers) {
       const { from, to } = this.sector(layer);
       for (let n = -1; n <= 60; n++) {
-        const [range, angle] = n < 0 ? [0, 0] : [REACH, from + (to - from) * n / 60 + layer.pose.yaw];
+        const [range, angle] = n < 0 ? [0, 0] : [REACH, bearing(layer.pose, from + (to - from) * n / 60)];
         const x = layer.pose.x + Math.cos(angle) * range;
         const y = layer.pose.y + Math.sin(angle) * range;
         [left, right] = [Math.min(left, -y), Math.max(right, -y)];
@@ -120,8 +127,8 @@ class Radar {
 
   // Converts a sensor's direction and range to a place on the canvas.
   place({ pose }, angle, metres, view = this.current()) {
-    const ahead = pose.x + Math.cos(angle + pose.yaw) * metres;
-    const left = pose.y + Math.sin(angle + pose.yaw) * metres;
+    const ahead = pose.x + Math.cos(bearing(pose, angle)) * metres;
+    const left = pose.y + Math.sin(bearing(pose, angle)) * metres;
     return [view.x - left * view.scale, view.y - ahead * view.scale];
   }
 
@@ -143,7 +150,7 @@ class Radar {
     const [layer] = this.layers;
     if (!layer?.scan) return null;
     const [ox, oy] = this.place(layer, 0, 0, view);
-    const angle = Math.atan2(ox - x, oy - y) - layer.pose.yaw;
+    const angle = bearingBack(layer.pose, Math.atan2(ox - x, oy - y));
     const index = indexOf(layer.scan, Math.atan2(Math.sin(angle), Math.cos(angle)));
     return index === null ? null : { layer, angle: angleOf(layer.scan, index) };
   }
@@ -174,8 +181,8 @@ class Radar {
 
   arc(view, { pose }, metres, from, to, pixels = 0) {
     const [x, y] = this.place({ pose }, 0, 0, view);
-    const turn = -Math.PI / 2 - pose.yaw;
-    this.context.arc(x, y, metres * view.scale + pixels, turn - to, turn - from);
+    const [first, last] = [bearing(pose, from), bearing(pose, to)].sort((a, b) => b - a);
+    this.context.arc(x, y, metres * view.scale + pixels, -Math.PI / 2 - first, -Math.PI / 2 - last);
   }
 
   grid(view) {
@@ -188,7 +195,7 @@ class Radar {
     }
     const step = [0.05, 0.1, 0.2, 0.5, 1, 2, 4, 10, 20, 40, 100, 200].find((step) => step * view.scale >= 48) ?? 400;
     if (this.several) return this.commonGrid(view, step);
-    const layer = this.layers[0] ?? { pose: { x: 0, y: 0, yaw: 0 } };
+    const layer = this.layers[0] ?? ORIGIN;
     const { from, to } = this.sector(layer);
     context.strokeStyle = theme.ring;
     context.lineWidth = 1;
@@ -207,7 +214,7 @@ class Radar {
     const rim = REACH + LABELS / view.scale;
     for (const d of marks) this.label(2, `${d}°`, [this.place(layer, d * Math.PI / 180, rim, view)]);
     // Beside the right edge, where nothing is measured.
-    const outside = from + layer.pose.yaw - Math.PI / 2;
+    const outside = bearing(layer.pose, from - Math.PI / 2);
     this.ringLabels(view, layer, rings, (ring) => {
       const [x, y] = this.place(layer, from, ring, view);
       return [x - Math.sin(outside) * 22, y - Math.cos(outside) * 14];
@@ -220,7 +227,7 @@ class Radar {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const inside = ([x, y]) => x > 20 && x < width - 20 && y > 10 && y < height - 10;
     const [x, y] = this.place(origin, 0, 0, view);
-    const middle = Math.atan2(x - width / 2, y - height / 2) - origin.pose.yaw;
+    const middle = bearingBack(origin.pose, Math.atan2(x - width / 2, y - height / 2));
     for (const ring of rings) {
       const places = [spot(ring), ...[middle, Math.PI / 2].map((angle) => this.place(origin, angle, ring, view))].filter(inside);
       this.label(2, `${Number(ring.toFixed(2))} m`, places);
@@ -239,13 +246,12 @@ class Radar {
   commonGrid(view, step) {
     const { context, theme } = this;
     const far = Math.max(...this.layers.map(({ pose }) => Math.hypot(pose.x, pose.y))) + REACH;
-    const origin = { pose: { x: 0, y: 0, yaw: 0 } };
     context.strokeStyle = theme.ring; context.lineWidth = 1;
     const rings = Array.from({ length: Math.floor(far / step) }, (_, n) => (n + 1) * step);
-    for (const ring of rings) { context.beginPath(); this.arc(view, origin, ring, -Math.PI, Math.PI); context.stroke(); }
+    for (const ring of rings) { context.beginPath(); this.arc(view, ORIGIN, ring, -Math.PI, Math.PI); context.stroke(); }
     context.beginPath();
     for (const [angle, metres] of [[0, far], [Math.PI / 2, far], [Math.PI, far], [-Math.PI / 2, far]]) {
-      context.moveTo(view.x, view.y); context.lineTo(...this.place(origin, angle, metres, view));
+      context.moveTo(view.x, view.y); context.lineTo(...this.place(ORIGIN, angle, metres, view));
     }
     context.stroke();
     for (const layer of this.layers) {
@@ -255,7 +261,7 @@ class Radar {
       this.arc(view, layer, REACH, from, to); context.closePath(); context.stroke();
       context.globalAlpha = 1;
     }
-    this.ringLabels(view, origin, rings, (ring) => this.place(origin, 0, ring, view));
+    this.ringLabels(view, ORIGIN, rings, (ring) => this.place(ORIGIN, 0, ring, view));
   }
 
   // Keeps a text for `write`, which needs one of these places. Texts of a lower rank come first.
@@ -314,12 +320,12 @@ class Radar {
       scan.values.forEach((value, index) => {
         if (meaning(value).kind !== kind) return;
         const angle = angleOf(scan, index);
-        const turn = -Math.PI / 2 - layer.pose.yaw;
+        const middle = -Math.PI / 2 - bearing(layer.pose, angle);
         const [x, y] = this.place(layer, 0, 0, view);
         const radius = REACH * view.scale + TRACKS[kind] + offset;
-        const first = turn - angle - half;
+        const first = middle - half;
         context.moveTo(x + Math.cos(first) * radius, y + Math.sin(first) * radius);
-        context.arc(x, y, radius, first, turn - angle + half);
+        context.arc(x, y, radius, first, middle + half);
       });
       context.stroke();
     };

@@ -15,8 +15,8 @@ function setText(element, text) {
 class Sensor {
   constructor(report, number, several) {
     this.name = report.name;
-    const { x, y, yaw } = report.pose;
-    this.pose = { x, y, yaw: yaw * Math.PI / 180 };
+    const { x, y, yaw, upside_down: upsideDown } = report.pose;
+    this.pose = { x, y, yaw: yaw * Math.PI / 180, upsideDown };
     this.colour = several ? `s${number % 6}` : null;
     this.scan = null;
     this.newest = null; // updated even while the picture is paused
@@ -130,7 +130,8 @@ class Sensor {
       const lost = malformed + stats.timeouts + stats.refused;
       this.figure("losses", String(lost), `${lost === 1 ? "reply" : "replies"}`, `of ${stats.polls}`);
     }
-    const place = this.name === null ? null : `${this.report.pose.x} m, ${this.report.pose.y} m, ${this.report.pose.yaw}°`;
+    const { x, y, yaw, upside_down: upsideDown } = this.report.pose;
+    const place = this.name === null ? null : `${x} m, ${y} m, ${yaw}°${upsideDown ? ", upside down" : ""}`;
     this.rows([
       ["Port", this.report.port],
       ["Place", place],

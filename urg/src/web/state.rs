@@ -37,7 +37,9 @@ fn sensor(source: &SiteSource) -> Value {
     let reached = schedule.and_then(|schedule| schedule.reached);
     json!({
         "name": source.name(),
-        "pose": { "x": pose.x, "y": pose.y, "yaw": pose::yaw(pose) },
+        "pose": {
+            "x": pose.x, "y": pose.y, "yaw": pose::yaw(pose), "upside_down": pose.upside_down
+        },
         "port": source.picture.port.to_string(),
         // One of connected, recovering, disconnected, waiting, closed, recording.
         "link": health.link,

@@ -109,7 +109,7 @@ async function viewersGetWhatTheDriverDelivered() {
     truth.set(scan.values.join(), scan);
   }
   const port = await freePort();
-  const published = publish(port, `front=${recording}`, "--tf", "base_link,0.2,0,0.1,90");
+  const published = publish(port, `front=${recording}`, "--tf", "base_link,0.2,0,0.1,90,upside-down");
   await published.says("can connect to ws://");
   const reader = await viewer(port);
   for (let count = 0; count < 30; count++) {
@@ -130,6 +130,10 @@ async function viewersGetWhatTheDriverDelivered() {
   assert.equal(transforms[0].header.frame_id, "base_link");
   assert.equal(transforms[0].child_frame_id, "front_laser");
   assert.equal(transforms[0].transform.translation.x, 0.2);
+  const { x, y, z, w } = transforms[0].transform.rotation;
+  // Half a turn about the axis between x and y.
+  const turns = [x, y, z, w].map((part, n) => Math.abs(part - (n < 2 ? Math.SQRT1_2 : 0)));
+  assert.ok(Math.max(...turns) < 1e-12, `${[x, y, z, w]}`);
   const { status } = await reader.next("/diagnostics");
   assert.match(status[0].name, /front\/urg_node/);
   reader.close();

@@ -25,7 +25,7 @@ async fn placed(sensors: &[(&str, Pose)]) -> Model {
 }
 
 fn pose(x: f64, y: f64, yaw: f64) -> Pose {
-    Pose { x, y, heading: yaw.to_radians() }
+    Pose { x, y, heading: yaw.to_radians(), upside_down: false }
 }
 
 /// Unplugs a sensor, and shows it `seconds` later.
