@@ -8,6 +8,7 @@ use std::ops::RangeBounds;
 use std::time::Duration;
 
 use super::RecordingError;
+use super::latched::{Latched, LatchedMessage, LatchedTopic};
 use super::mcap::{
     DefinitionWriter, Definitions, FileError, Input, McapWriter, MessageHeader, Records, header,
     kind, parse_metadata,
@@ -59,17 +60,23 @@ impl Copied {
 /// log times, and those of one file in the order of the file.
 ///
 /// Messages of all topics keep their bytes, times and numbers, whoever wrote them. Channels and
-/// schemas are numbered anew. Metadata are copied, attachments and non-standard records are not.
-/// You can replay the copy: it gets the metadata and the sensor's version even if they lie before
-/// the part. The version is then dated to the start of the part.
+/// schemas are numbered anew, and kept even without a message. Metadata are copied, attachments and
+/// non-standard records are not.
+///
+/// Three things are copied even if they lie before the part: the metadata and the sensor's version, so
+/// that you can replay the copy; and the last message of each topic that ROS 2 latches (durability
+/// `transient_local` in the channel's `offered_qos_profiles`), such as a map. Of transforms, it is the
+/// last one of each child frame, because `/tf_static` has several publishers. The messages get the log
+/// time of the part's first message.
 ///
 /// Leaves out damaged parts, builds a new index, and writes compressed chunks as plain ones. The
 /// copy has at most eight times the bytes of the inputs without compression, plus 8 KiB: a hostile
 /// file makes the most of small records.
 ///
 /// Blocks the thread, and reads all inputs to their end. Needs memory for the longest chunk of each
-/// input, plus 64 MiB for the index of the copy, plus the definitions of message types: up to 64 MiB
-/// for each input, and twice for the copy. Definitions that do not fit are damage. A copy whose index
+/// input, plus 64 MiB for the index of the copy, plus up to 64 MiB of latched messages, plus the definitions of
+/// message types: up to 64 MiB for each input, and twice for the copy. What does not fit counts as
+/// damage. A copy whose index
 /// would be longer has none: its chunks have about a second of messages, and 768 KiB once the index
 /// has 8 MiB.
 ///
@@ -118,6 +125,7 @@ pub fn cut<R: Read + Send + 'static>(
         definitions: DefinitionWriter::default(),
         range: TimeRange::new(&range),
         version: None,
+        latched: Latched::default(),
         metadata: None,
         chunk_began: None,
         polls: StreamPolls::default(),
@@ -126,7 +134,9 @@ pub fn cut<R: Read + Send + 'static>(
     while let Some(Reverse((_, number))) = queue.pop() {
         let Some(source) = sources.get_mut(number) else { continue };
         copy.step(number, source).map_err(RecordingError::write)?;
-        if !source.is_over {
+        if source.is_over {
+            copy.define_rest(source);
+        } else {
             source.advance(&mut copy.outcome)?;
             queue.push(Reverse((source.time, number)));
         }
@@ -159,6 +169,8 @@ struct Source {
     messages: Messages,
     /// Number in the copy of each channel, once it has one.
     channels: HashMap<u16, u16>,
+    /// What each channel latches, once it was asked for.
+    latched: HashMap<u16, Option<LatchedTopic>>,
     /// Metadata before the next message.
     metadata: Vec<Vec<u8>>,
     /// Content of the next message.
@@ -196,6 +208,7 @@ impl Source {
                     self.messages.define(kind, content);
                     // A schema changes its channels.
                     self.channels.clear();
+                    self.latched.clear();
                     if !self.definitions.define(kind, content) {
                         outcome.add_damage(self.records.report_damage());
                     }
@@ -217,6 +230,14 @@ impl Source {
     }
 }
 
+impl Source {
+    fn latched_topic(&mut self, channel: u16) -> Option<LatchedTopic> {
+        let Self { definitions, latched, .. } = self;
+        let find = || LatchedTopic::of_channel(&definitions.channel(channel)?);
+        latched.entry(channel).or_insert_with(find).clone()
+    }
+}
+
 /// Copy in progress.
 struct Copy<W> {
     writer: McapWriter<W>,
@@ -224,6 +245,8 @@ struct Copy<W> {
     range: TimeRange,
     /// Latest version of the sensor, and its source.
     version: Option<(usize, MessageHeader, Vec<u8>)>,
+    /// Latched messages before the part, until it begins.
+    latched: Latched,
     /// Latest metadata of a recording, and its source: each file of a split recording repeats it.
     metadata: Option<(usize, Vec<u8>)>,
     /// Time of the first message in the open chunk, once the part has begun.
@@ -257,12 +280,15 @@ impl<W: Write> Copy<W> {
         if let Some(record) = &record {
             self.range.see(record);
         }
-        let is_inside = self.range.contains(time(header.log_time));
+        let at = time(header.log_time);
+        let is_inside = self.range.contains(at);
         let is_version = record.as_ref().is_some_and(is_version);
         if is_version && self.is_repeated(number, header, data) {
             return Ok(());
         }
-        if !is_inside && !is_version {
+        let is_early = self.chunk_began.is_none() && self.range.begins_after(at);
+        let latched = is_early.then(|| source.latched_topic(header.channel)).flatten();
+        if !is_inside && !is_version && latched.is_none() {
             return Ok(());
         }
         let channel = match source.channels.get(&header.channel) {
@@ -279,18 +305,29 @@ impl<W: Write> Copy<W> {
             return Ok(());
         };
         header.channel = channel;
+        if let Some(topic) = latched {
+            if !self.latched.keep(&topic, LatchedMessage::new(header, data, record)) {
+                self.outcome.add_damage(source.records.report_damage());
+            }
+            return Ok(());
+        }
         if is_version {
             self.version = Some((number, header, data.to_vec()));
             if !is_inside {
                 return Ok(());
             }
         }
-        if self.chunk_began.is_none()
-            && !is_version
-            && let Some((_, version, data)) = self.version.take()
-        {
-            self.message(MessageHeader { log_time: header.log_time, ..version }, &data)?;
-            self.version = Some((number, version, data));
+        if self.chunk_began.is_none() {
+            let log_time = header.log_time;
+            if !is_version && let Some((_, version, data)) = self.version.take() {
+                self.message(MessageHeader { log_time, ..version }, &data)?;
+                self.version = Some((number, version, data));
+            }
+            for latched in std::mem::take(&mut self.latched).into_messages() {
+                let LatchedMessage { header, data, record, .. } = latched;
+                self.message(MessageHeader { log_time, ..header }, &data)?;
+                record.into_iter().for_each(|record| self.polls.add(record));
+            }
         }
         self.message(header, data)?;
         if let Some(record) = record {
@@ -298,6 +335,13 @@ impl<W: Write> Copy<W> {
         }
         self.count_scans(false);
         Ok(())
+    }
+
+    /// Writes the channels and schemas of a source that have no message in the copy.
+    fn define_rest(&mut self, source: &mut Source) {
+        if !self.definitions.rest(&source.definitions, lost_schema, &mut self.writer) {
+            self.outcome.add_damage(source.records.report_damage());
+        }
     }
 
     fn message(&mut self, header: MessageHeader, data: &[u8]) -> std::io::Result<()> {

@@ -90,6 +90,7 @@ mod held;
 mod identity;
 mod item;
 mod mcap;
+mod latched;
 mod messages;
 mod output;
 mod parts;

@@ -70,6 +70,16 @@ impl TimeRange {
         false
     }
 
+    /// Returns true if a time in the file lies before the part.
+    pub(super) fn begins_after(&self, at: SystemTime) -> bool {
+        let since = self.since_first_scan(at);
+        match self.limits.0 {
+            Bound::Included(from) => since < from,
+            Bound::Excluded(from) => since <= from,
+            Bound::Unbounded => false,
+        }
+    }
+
     /// Returns true if a time in the file lies in the part.
     pub(super) fn contains(&self, at: SystemTime) -> bool {
         self.limits.contains(&self.since_first_scan(at))

@@ -4,6 +4,7 @@
 use std::collections::{HashMap, HashSet};
 use std::io::Write;
 
+use super::form::map;
 use super::{Fields, McapWriter, kind};
 
 /// Largest number of bytes of the definitions of one file.
@@ -33,9 +34,27 @@ impl Definitions {
         true
     }
 
+    /// Returns what a channel's definition says.
+    pub(in super::super) fn channel(&self, number: u16) -> Option<Channel<'_>> {
+        let mut fields = Fields(self.get(kind::CHANNEL, number)?);
+        let schema = self.get(kind::SCHEMA, fields.u16()?);
+        let schema = schema.and_then(|content| Fields(content).string());
+        let (topic, _encoding) = (fields.string()?, fields.string()?);
+        Some(Channel { topic, schema, metadata: map(&mut fields)? })
+    }
+
     fn get(&self, kind: u8, number: u16) -> Option<&[u8]> {
         self.contents.get(&(kind, number)).filter(|content| !content.is_empty()).map(Vec::as_slice)
     }
+}
+
+/// Definition of a channel.
+#[derive(Debug)]
+pub(in super::super) struct Channel<'a> {
+    pub(in super::super) topic: &'a str,
+    /// Name of its schema, if it has one.
+    pub(in super::super) schema: Option<&'a str>,
+    pub(in super::super) metadata: Vec<(&'a str, &'a str)>,
 }
 
 /// Writes schemas and channels with numbers of their own: equal ones have one number, and others
@@ -69,6 +88,25 @@ impl DefinitionWriter {
         };
         let content = [&schema.to_le_bytes(), fields.0].concat();
         self.number(kind::CHANNEL, number, &content, writer)
+    }
+
+    /// Writes the schemas and channels of a file that are not written yet. Returns false if the file
+    /// has no room for one.
+    pub(in super::super) fn rest<W: Write>(
+        &mut self,
+        of: &Definitions,
+        lost_schema: impl Fn(u16, &[u8]) -> Option<Vec<u8>>,
+        writer: &mut McapWriter<W>,
+    ) -> bool {
+        let contents = of.contents.iter().filter(|(_, content)| !content.is_empty());
+        let mut wanted: Vec<_> = contents.map(|(number, _)| *number).collect();
+        // Schemas come first.
+        wanted.sort_unstable();
+        let written = wanted.into_iter().map(|(kind, number)| match kind {
+            kind::SCHEMA => self.number(kind, number, of.get(kind, number)?, writer),
+            _ => self.channel(number, of, &lost_schema, writer),
+        });
+        written.fold(true, |all, number| all & number.is_some())
     }
 
     /// Returns the number of a definition: the wanted one if it is free.

@@ -57,7 +57,7 @@ pub(in super::super) fn parse_metadata(content: &[u8]) -> Option<(&str, Vec<(&st
     fields.0.is_empty().then_some((name, pairs))
 }
 
-fn map<'a>(fields: &mut Fields<'a>) -> Option<Vec<(&'a str, &'a str)>> {
+pub(super) fn map<'a>(fields: &mut Fields<'a>) -> Option<Vec<(&'a str, &'a str)>> {
     let mut rest = Fields(fields.bytes()?);
     let mut pairs = Vec::new();
     while !rest.0.is_empty() {

@@ -18,7 +18,7 @@ mod write;
 
 use std::time::Duration;
 
-pub(super) use self::definitions::{DefinitionWriter, Definitions};
+pub(super) use self::definitions::{Channel, DefinitionWriter, Definitions};
 pub(super) use self::form::parse_metadata;
 pub(super) use self::input::Input;
 pub(super) use self::read::FileError;

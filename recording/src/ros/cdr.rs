@@ -115,6 +115,11 @@ impl<'a> CdrReader<'a> {
         Some(numbers.iter().map(|number| f32::from_le_bytes(self.little_endian(*number))).collect())
     }
 
+    pub(super) fn skip_f64s(&mut self, count: usize) -> Option<()> {
+        self.at = HEADER.len() + (self.at - HEADER.len()).next_multiple_of(8);
+        self.take(count.checked_mul(8)?).map(drop)
+    }
+
     fn number(&mut self) -> Option<[u8; 4]> {
         self.at = self.at.next_multiple_of(4);
         let number = self.take(4)?.try_into().ok()?;

@@ -54,6 +54,7 @@ pub use self::transform::{Transform, write_transforms};
 pub(crate) use self::{
     laser_scan::read_scan,
     std_msgs::{read_labelled_bytes, read_text, write_labelled_bytes, write_text},
+    transform::child_frames,
 };
 
 /// Message type, as ROS 2 names and defines it.

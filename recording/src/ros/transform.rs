@@ -2,7 +2,7 @@
 
 use std::time::SystemTime;
 
-use super::cdr::CdrWriter;
+use super::cdr::{CdrReader, CdrWriter};
 use super::{MessageType, write_header};
 
 pub(super) const TYPE: MessageType = MessageType {
@@ -61,6 +61,18 @@ impl Transform {
             cr * cp * cy + sr * sp * sy,
         ]
     }
+}
+
+/// Returns the frames that a `tf2_msgs/msg/TFMessage` places, or `None` if it is malformed.
+pub(crate) fn child_frames(message: &[u8]) -> Option<Vec<&str>> {
+    let mut cdr = CdrReader::new(message)?;
+    let mut frames = Vec::new();
+    for _ in 0..cdr.u32()? {
+        let (_seconds, _nanoseconds, _parent) = (cdr.i32()?, cdr.u32()?, cdr.string()?);
+        frames.push(cdr.string()?);
+        cdr.skip_f64s(7)?;
+    }
+    Some(frames)
 }
 
 /// Writes a `tf2_msgs/msg/TFMessage` into `out`, in place of what was there. A `stamp`

@@ -1,10 +1,11 @@
 //! Files of the histories: what an independent reader finds in them, and what damage costs.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use mcap::records::Record;
 
+use super::foreign::letters;
 use crate::raw::MAGIC;
 
 /// Message, with all that names its topic and type.
@@ -19,17 +20,9 @@ pub(super) struct Message {
 
 impl Message {
     fn new(message: mcap::Message<'_>) -> Self {
-        let channel = &message.channel;
-        let schema = channel.schema.as_ref();
-        let schema = schema.map(|schema| {
-            let data = crc32fast::hash(&schema.data);
-            format!("{} {} {data}", schema.name, schema.encoding)
-        });
-        let schema = schema.unwrap_or_default();
-        let (encoding, metadata) = (&channel.message_encoding, &channel.metadata);
         Self {
             log_time: message.log_time,
-            topic: format!("{} {encoding} {metadata:?} {schema}", channel.topic),
+            topic: topic(&message.channel),
             publish_time: message.publish_time,
             sequence: message.sequence,
             data: message.data.into_owned(),
@@ -39,6 +32,18 @@ impl Message {
     /// Returns true for the sensor's version, which each file of a split recording repeats.
     pub(super) fn is_version(&self) -> bool {
         self.label() == Some(b"V\0")
+    }
+
+    /// Topic and frames of a message that a part begins with if it lies before the part.
+    pub(super) fn latched(&self) -> Vec<(String, String)> {
+        let is_latched = ["durability: 1\\n", "durability: transient_local"];
+        if !is_latched.iter().any(|text| self.topic.contains(text)) {
+            return Vec::new();
+        }
+        let has_frames = self.topic.contains(" tf2_msgs/msg/TFMessage ");
+        let frames = if has_frames { letters(&self.data) } else { vec![String::new()] };
+        let name = self.topic.split(' ').next().unwrap();
+        frames.into_iter().map(|frame| (format!("{name} {has_frames}"), frame)).collect()
     }
 
     /// Returns true if the time of a part counts from here.
@@ -69,6 +74,24 @@ impl Message {
         let length = u32::from_le_bytes(data.get(8..12)?.try_into().ok()?) as usize;
         data.get(12..12 + length)
     }
+}
+
+/// All that names a topic and its type.
+fn topic(channel: &mcap::Channel<'_>) -> String {
+    let schema = channel.schema.as_deref().map(schema).unwrap_or_default();
+    let (encoding, metadata) = (&channel.message_encoding, &channel.metadata);
+    format!("{} {encoding} {metadata:?} {schema}", channel.topic)
+}
+
+fn schema(schema: &mcap::Schema<'_>) -> String {
+    format!("{} {} {}", schema.name, schema.encoding, crc32fast::hash(&schema.data))
+}
+
+/// Topics and types of a complete file, with and without messages.
+pub(super) fn topics(file: &[u8]) -> BTreeSet<String> {
+    let summary = mcap::Summary::read(file).unwrap().unwrap();
+    let topics = summary.channels.values().map(|channel| topic(channel));
+    topics.chain(summary.schemas.values().map(|known| schema(known))).collect()
 }
 
 /// Reads all messages of a complete file, in their order. Fails unless the index leads to the

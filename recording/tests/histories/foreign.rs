@@ -13,7 +13,7 @@ const BEGAN: u64 = 1_700_000_000_000_000_000;
 const SECOND: u64 = 1_000_000_000;
 
 /// Topic, type, and encoding of messages.
-const TOPICS: [(&str, &str, &str); 7] = [
+const TOPICS: [(&str, &str, &str); 9] = [
     ("/scan", "sensor_msgs/msg/LaserScan", "cdr"),
     ("/scan", "my_msgs/msg/Scan", "cdr"),
     ("/front/scan", "sensor_msgs/msg/LaserScan", "cdr"),
@@ -21,6 +21,18 @@ const TOPICS: [(&str, &str, &str); 7] = [
     ("/scip/events", "std_msgs/msg/String", "cdr"),
     ("/camera", "", "json"),
     ("/scip/replies", "std_msgs/msg/UInt8MultiArray", "cdr"),
+    ("/tf_static", TRANSFORMS, "cdr"),
+    ("/map", "nav_msgs/msg/OccupancyGrid", "cdr"),
+];
+const TRANSFORMS: &str = "tf2_msgs/msg/TFMessage";
+/// What publishers offer, as rosbag2 writes it up to Iron and since Jazzy. The last three latch.
+const QOS: [&str; 6] = [
+    "",
+    "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 2\n  deadline:\n    sec: 1\n",
+    "- history: unknown\n  depth: 0\n  reliability: reliable\n  durability: volatile\n",
+    "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 1\n  deadline:\n    sec: 1\n",
+    "- history: unknown\n  durability: volatile\n- depth: 1\n  durability: transient_local\n",
+    "- durability: transient_local\n  history: keep_last",
 ];
 
 pub(super) struct Bag {
@@ -56,9 +68,17 @@ pub(super) fn bag(random: &mut Random) -> Bag {
             }
         };
         let id = (any(random, 3) - u64::from(number == 0)) as u16;
-        let qos = BTreeMap::from([("qos".to_owned(), random.below(2).to_string())]);
+        let qos = (*random.pick(&QOS)).to_owned();
+        let qos = BTreeMap::from([("offered_qos_profiles".to_owned(), qos)]);
         writer.add_channel_with_id(id, schema, topic, encoding, &qos).unwrap();
         channels.push((id, name));
+    }
+    if random.once_in(2) {
+        let schema = writer.add_schema_with_id(900, "std_msgs/msg/Empty", "ros2msg", b"").unwrap();
+        if random.once_in(2) {
+            let none = BTreeMap::new();
+            writer.add_channel_with_id(900, schema, "/unused", "cdr", &none).unwrap();
+        }
     }
     let is_sorted = !random.once_in(3);
     let mut time = BEGAN + random.below(60) * SECOND;
@@ -71,6 +91,7 @@ pub(super) fn bag(random: &mut Random) -> Bag {
         let header = MessageHeader { channel_id, sequence, log_time: time, publish_time: time - 5 };
         let data = match name {
             "sensor_msgs/msg/LaserScan" if !random.once_in(8) => laser_scan(random),
+            TRANSFORMS if !random.once_in(8) => transforms(random),
             _ => (0..random.below(200)).map(|_| random.next() as u8).collect(),
         };
         writer.write_to_known_channel(&header, &data).unwrap();
@@ -111,6 +132,37 @@ fn laser_scan(random: &mut Random) -> Vec<u8> {
         return [&[0x28, 0xb5, 0x2f, 0xfd][..], &out].concat();
     }
     out
+}
+
+/// Places of letters in a message of transforms, and where that ends after so many of them.
+const CHILDREN: [usize; 3] = [28, 112, 192];
+const ENDS: [usize; 4] = [8, 92, 172, 252];
+
+/// Returns the places of up to three frames, each named by a letter.
+fn transforms(random: &mut Random) -> Vec<u8> {
+    let count = random.below(4) as usize;
+    let mut out = vec![0, 1, 0, 0, count as u8, 0, 0, 0];
+    for _ in 0..count {
+        out.extend((0..8).map(|_| random.next() as u8));
+        out.extend(b"\x04\0\0\0map\0\x02\0\0\0");
+        out.extend([b'a' + random.below(4) as u8, 0]);
+        // Numbers of eight bytes are aligned after the header.
+        out.resize(4 + (out.len() - 4).next_multiple_of(8) + 56, 7);
+    }
+    out
+}
+
+/// Returns the letters of [`transforms`], or an empty text for another message.
+pub(super) fn letters(data: &[u8]) -> Vec<String> {
+    let count = data.get(4).map_or(9, |count| usize::from(*count));
+    match ENDS.get(count) {
+        Some(end)
+            if *end == data.len() && data.starts_with(&[0, 1, 0, 0, count as u8, 0, 0, 0]) =>
+        {
+            CHILDREN[..count].iter().map(|at| char::from(data[*at]).to_string()).collect()
+        }
+        _ => vec![String::new()],
+    }
 }
 
 /// Returns true if the message has the form of [`laser_scan`], compressed ones excepted.

@@ -22,7 +22,7 @@ use std::time::Duration;
 use tokio_scip::Scan;
 use urg_recording::{Copied, Entry, Recording, RecordingError, cut, repair};
 
-use self::file::{Layout, Message, read};
+use self::file::{Layout, Message, read, topics};
 use self::foreign::bag;
 use self::own::{Own, nanos, own};
 use crate::common::random::{Random, seeds};
@@ -46,6 +46,8 @@ struct File {
     must: Vec<Message>,
     /// Messages that may be in it.
     may: Vec<Message>,
+    /// Topics and types, with and without messages, if it is complete.
+    topics: BTreeSet<String>,
     has_chunks: bool,
     has_checksums: bool,
     is_complete: bool,
@@ -56,9 +58,9 @@ struct File {
 impl File {
     fn whole(bytes: Vec<u8>) -> Result<Self, String> {
         let must = read(&bytes)?;
-        let may = must.clone();
+        let (may, topics) = (must.clone(), topics(&bytes));
         let (has_chunks, has_checksums, is_complete) = (true, true, true);
-        Ok(Self { bytes, must, may, has_chunks, has_checksums, is_complete, stream: None })
+        Ok(Self { bytes, must, may, topics, has_chunks, has_checksums, is_complete, stream: None })
     }
 
     fn is_sorted(&self) -> bool {
@@ -303,6 +305,11 @@ impl History {
             files.iter().flat_map(of).cloned().collect()
         };
         compare(&joined.must, &all(|file| &file.must), &all(|file| &file.may))?;
+        let complete = files.iter().filter(|file| file.is_complete);
+        let expected: BTreeSet<_> = complete.flat_map(|file| &file.topics).cloned().collect();
+        is_so(joined.topics.is_superset(&expected), || {
+            format!("topics lost: {:?}", expected.difference(&joined.topics))
+        })?;
         is_so(
             joined.is_sorted() || !files.iter().all(|file| file.is_complete && file.is_sorted()),
             || "joined out of order".to_owned(),
@@ -318,24 +325,44 @@ impl History {
         let mut out = Vec::new();
         let outcome = copy(vec![file.input(self.is_on_disk)], range.clone(), &mut out)?;
         let part = written(out, (outcome.messages, outcome.scans))?;
-        let mut first = None;
-        let inside: Vec<Message> = file
-            .must
-            .iter()
-            .filter(|message| {
-                if message.is_scan() {
-                    first.get_or_insert(message.log_time);
+        let (mut first, mut inside) = (None, Vec::new());
+        // Last message before the part of each latched topic and frame.
+        let mut latched: BTreeMap<_, (u64, usize)> = BTreeMap::new();
+        for (place, message) in file.must.iter().enumerate() {
+            if message.is_scan() {
+                first.get_or_insert(message.log_time);
+            }
+            let since = message.log_time.saturating_sub(first.unwrap_or(message.log_time));
+            let since = Duration::from_nanos(since);
+            if range.contains(&since) {
+                inside.push(message.clone());
+            } else if since < range.start && inside.is_empty() {
+                for topic in message.latched() {
+                    let last = latched.entry(topic).or_default();
+                    *last = (*last).max((message.log_time, place));
                 }
-                let since = message.log_time.saturating_sub(first.unwrap_or(message.log_time));
-                range.contains(&Duration::from_nanos(since))
-            })
-            .cloned()
-            .collect();
+            }
+        }
+        let latched: BTreeSet<usize> = latched.values().map(|(_, place)| *place).collect();
+        let mut expected = inside.clone();
+        if let Some(begin) = inside.first() {
+            let at_begin =
+                |place: usize| Message { log_time: begin.log_time, ..file.must[place].clone() };
+            expected.extend(latched.into_iter().map(at_begin));
+        }
         let is_other = |message: &&Message| !message.is_version();
         let others = |messages: &[Message]| -> Vec<Message> {
             messages.iter().filter(is_other).cloned().collect()
         };
-        compare(&others(&part.must), &others(&inside), &others(&inside))?;
+        compare(&others(&part.must), &others(&expected), &others(&expected))?;
+        let place = |of: &Message| part.must.iter().position(|message| message == of);
+        is_so(
+            expected[inside.len()..].iter().all(|latched| place(latched) <= place(&inside[0])),
+            || "a latched message after the beginning of the part".to_owned(),
+        )?;
+        is_so(part.topics == file.topics, || {
+            format!("other topics: {:?}", part.topics.symmetric_difference(&file.topics))
+        })?;
         // The library reads the same part.
         let records = open(file.input(self.is_on_disk))?.range(range);
         let records = records.collect::<Result<Vec<_>, _>>()?;
@@ -352,6 +379,9 @@ impl History {
         let outcome = copy(vec![file.input(self.is_on_disk)], .., &mut out)?;
         let repaired = written(out, (outcome.messages, outcome.scans))?;
         compare(&repaired.must, &file.must, &file.may)?;
+        is_so(!file.is_complete || repaired.topics == file.topics, || {
+            format!("other topics: {:?}", repaired.topics.symmetric_difference(&file.topics))
+        })?;
         let told = outcome.was_truncated || outcome.damaged_parts > 0;
         is_so(!file.is_complete || !told, || format!("a whole file: {outcome:?}"))?;
         is_so(repaired.must.len() == file.may.len() || told, || "a loss untold".to_owned())?;
