@@ -1,7 +1,7 @@
 //! [`RecordingError`].
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::mcap::FileError;
@@ -66,6 +66,28 @@ pub enum RecordingError {
     },
     /// A part of the file is malformed: a chunk, about a second of a recording. Reading
     /// continues after it. A missing end of the file is not an error.
+    /// The file is a bag in another format.
+    #[error(
+        "cannot read {}: expected an MCAP file, found {found}; {}",
+        path.display(), conversion(path)
+    )]
+    OtherFormat {
+        /// Path of the file.
+        path: PathBuf,
+        /// Name of the format.
+        found: &'static str,
+    },
+    /// The folder has no recording.
+    #[error(
+        "no recording in the folder {}: {reason}; expected one made by `ros2 bag record --storage mcap`",
+        path.display()
+    )]
+    Folder {
+        /// Path of the folder.
+        path: PathBuf,
+        /// What is missing.
+        reason: &'static str,
+    },
     #[error("the recording is damaged at byte {offset}: {reason}")]
     Damaged {
         /// Position of the malformed part in the file.
@@ -110,6 +132,19 @@ fn remedy(compression: &str) -> &'static str {
             "expected `zstd`, `lz4` or no compression; copy the file with the program that wrote it, without compression"
         }
     }
+/// Says how to make an MCAP file of a bag in another format.
+fn conversion(path: &Path) -> String {
+    let (from, to) = (path.display(), path.with_extension(""));
+    if to.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap")) {
+        return format!("decompress it with `zstd -d '{from}' -o '{}'`", to.display());
+    }
+    format!(
+        "convert it with `rosbags-convert --src '{from}' --dst '{}_mcap' --dst-storage mcap`, which \
+         `pip install rosbags` installs",
+        to.with_extension("").display()
+    )
+}
+
 }
 
 impl From<FileError> for RecordingError {

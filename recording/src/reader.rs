@@ -5,11 +5,12 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fmt;
 use std::fs::File;
 use std::io::Read;
-use std::ops::RangeBounds;
-use std::path::Path;
+use std::ops::{RangeBounds, RangeInclusive};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::folder::recording_files;
 use super::mcap::{Input, Records, kind, parse_metadata};
 use super::messages::Messages;
 use super::range::TimeRange;
@@ -48,6 +49,10 @@ const MAX_OTHER_TOPICS: usize = 16;
 /// ```
 pub struct Recording {
     records: Records,
+    /// Files that follow.
+    further: VecDeque<PathBuf>,
+    /// True if the end of an earlier file is missing.
+    was_truncated: bool,
     messages: Messages,
     metadata: BTreeMap<String, String>,
     /// Bytes of records read so far, without compression.
@@ -56,6 +61,8 @@ pub struct Recording {
     ahead: VecDeque<Result<Item, RecordingError>>,
     /// Part to read.
     pub(super) range: TimeRange,
+    /// Log times of the part, once they are known.
+    times: Option<RangeInclusive<u64>>,
     /// Topic to read instead of `/scan`.
     topic: Option<Arc<str>>,
     /// Other topics with laser scans.
@@ -64,21 +71,19 @@ pub struct Recording {
 
 impl Recording {
     /// Opens a recording and reads up to its metadata: at most 256 messages, and at most one
-    /// message beyond the first MiB of records.
+    /// message beyond the first MiB of records. `path` may be a folder as `ros2 bag record` makes it:
+    /// its [files](recording_files) are read one after the other.
     ///
     /// # Errors
     ///
-    /// Fails with [`RecordingError::Open`] if the file cannot be opened,
+    /// Fails as [`recording_files`] does, with [`RecordingError::Open`] if a file cannot be opened,
     /// [`RecordingError::NotMcap`] if it is no recording, [`RecordingError::Compressed`] if
     /// this build does not read its compression, and [`RecordingError::Read`] if reading
     /// fails. A damaged beginning is an item of the iterator.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, RecordingError> {
-        let path = path.as_ref();
-        let file = File::open(path).map_err(|error| RecordingError::Open {
-            path: path.to_owned(),
-            source: Arc::new(error),
-        })?;
-        Self::from_input(Input::File(file))
+        let mut further = VecDeque::from(recording_files(&path)?);
+        let first = further.pop_front().unwrap_or_else(|| path.as_ref().to_owned());
+        Self::from_input(open(first)?, further)
     }
 
     /// Reads a recording from any reader; otherwise the same as [`open`](Self::open).
@@ -87,17 +92,20 @@ impl Recording {
     ///
     /// The same as for [`open`](Self::open).
     pub fn read(input: impl Read + Send + 'static) -> Result<Self, RecordingError> {
-        Self::from_input(Input::new(input))
+        Self::from_input(Input::new(input), VecDeque::new())
     }
 
-    fn from_input(input: Input) -> Result<Self, RecordingError> {
+    fn from_input(input: Input, further: VecDeque<PathBuf>) -> Result<Self, RecordingError> {
         let mut recording = Self {
             records: Records::new(input),
+            further,
+            was_truncated: false,
             messages: Messages::default(),
             metadata: BTreeMap::new(),
             read_bytes: 0,
             ahead: VecDeque::new(),
             range: TimeRange::new(&..),
+            times: None,
             topic: None,
             other_topics: BTreeSet::new(),
         };
@@ -162,7 +170,19 @@ impl Recording {
     /// end, an index, to find the messages. Use [`repair`](super::repair) to make a
     /// complete file.
     pub fn is_truncated(&self) -> bool {
-        self.records.is_truncated()
+        self.was_truncated || self.records.is_truncated()
+    }
+
+    /// Continues in the next file. Returns false after the last one.
+    fn open_next(&mut self) -> Result<bool, RecordingError> {
+        let Some(path) = self.further.pop_front() else { return Ok(false) };
+        self.was_truncated |= self.records.is_truncated();
+        self.records = Records::new(open(path)?);
+        self.messages = Messages::default();
+        if let Some(times) = &self.times {
+            self.records.leave_out_others(times)?;
+        }
+        Ok(true)
     }
 
     /// Reports that there was no scan, and on which topics there are others.
@@ -175,7 +195,11 @@ impl Recording {
     /// than [`RecordingError::Damaged`], no records follow.
     fn advance(&mut self) -> Option<Result<Option<Item>, RecordingError>> {
         let (kind, content) = match self.records.next() {
-            Ok(record) => record?,
+            Ok(Some(record)) => record,
+            Ok(None) => {
+                let opened = self.open_next().inspect_err(|_| self.further.clear());
+                return opened.map(|is_opened| is_opened.then_some(None)).transpose();
+            }
             Err(error) => return Some(Err(error.into())),
         };
         self.read_bytes = self.read_bytes.saturating_add(content.len());
@@ -215,15 +239,24 @@ impl Recording {
             }
             let is_version = self.range.see(record);
             let is_inside = is_version || self.range.contains(record.at);
-            if let Some(times) = self.range.take_times()
-                && let Err(error) = self.records.leave_out_others(&times)
-            {
-                return Some(Err(error.into()));
+            if let Some(times) = self.range.take_times() {
+                let left_out = self.records.leave_out_others(&times);
+                self.times = Some(times);
+                if let Err(error) = left_out {
+                    return Some(Err(error.into()));
+                }
             }
             if is_inside {
                 return Some(item);
             }
         }
+    }
+}
+
+fn open(path: PathBuf) -> Result<Input, RecordingError> {
+    match File::open(&path) {
+        Ok(file) => Ok(Input::File(file)),
+        Err(error) => Err(RecordingError::Open { path, source: Arc::new(error) }),
     }
 }
 

@@ -20,6 +20,10 @@ impl Folder {
         Self(path)
     }
 
+    pub(crate) fn path(&self) -> &Path {
+        &self.0
+    }
+
     /// Writes a file of these bytes.
     pub(crate) fn write(&self, bytes: &[u8]) -> PathBuf {
         let path = self.0.join("written.mcap");

@@ -15,6 +15,7 @@ mod example;
 mod examples;
 mod field;
 mod file;
+mod folder;
 mod foreign;
 mod histories;
 mod hostile;

@@ -113,7 +113,7 @@ PORT is one of
   /dev/ttyACM0, COM3      a serial port; /dev/serial/by-path/... names stay the same
   serial:H0713090         the sensor of this serial number, wherever it is plugged in
   tcp://HOST:PORT         a raw TCP bridge to a serial port; ?baud=N for its baud rate
-  FILE.mcap               a recording, replayed as a sensor
+  FILE.mcap               a recording, replayed as a sensor; also the folder of a ROS 2 bag
   -                       a recording on standard input
   emulated                a sensor in software, to try things out
 

@@ -70,6 +70,39 @@ fn ranges(scan: &Value) -> Vec<Option<f32>> {
 }
 
 #[test]
+fn a_folder_is_a_recording() {
+    let folder = Scratch::new("bag");
+    let path = folder.path();
+    fs::create_dir(path).unwrap();
+    let record =
+        |name: &str| run(&format!("record emulated {path}/{name} --rate max --count 3"), 0);
+    record("bag_0.mcap");
+    record("bag_1.mcap");
+    assert!(run(&format!("info {path}"), 0).stdout.contains("scans          6 of "));
+    assert_eq!(scans(&run(&format!("stream {path} --rate max"), 0).stdout).len(), 6);
+    let joined = Scratch::mcap("joined");
+    let notice = run(&format!("cut {path} {}", joined.path()), 0).stderr;
+    assert!(notice.contains("6 scans"), "{notice}");
+    let last = File::options().write(true).open(format!("{path}/bag_1.mcap")).unwrap();
+    last.set_len(last.metadata().unwrap().len() - 20).unwrap();
+    let told = run(&format!("info {path}"), 0).stdout;
+    assert!(told.contains(&format!("urg repair {path}")), "{told}");
+    fs::rename(format!("{path}/bag_0.mcap"), format!("{path}/old.bag")).unwrap();
+    for command in [format!("info {path}"), format!("info {path}/old.bag")] {
+        let told = run(&command, 1).stderr;
+        assert!(told.contains("found a ROS 1 bag; convert it with `rosbags-convert"), "{told}");
+    }
+    fs::remove_dir_all(path).unwrap();
+}
+
+#[test]
+fn a_frame_that_tf2_refuses_is_refused() {
+    let file = Scratch::mcap("frame");
+    let told = run(&format!("record emulated {} --count 1 --frame-id /laser", file.path()), 2);
+    assert!(told.stderr.contains("without a leading `/`"), "{}", told.stderr);
+}
+
+#[test]
 fn info_counts_the_scans_of_the_first_window() {
     let [first, second, both] = ["first", "second", "both"].map(Scratch::mcap);
     for (path, options) in [(&first, "100..200 --count 3"), (&second, "300..500 --count 2")] {

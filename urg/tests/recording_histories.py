@@ -8,6 +8,7 @@ compares each message with what the test found.
 Also joins them with bags that rosbags writes, in any order, and cuts the copy off and repairs it.
 """
 
+import math
 import random
 import subprocess
 import sys
@@ -15,11 +16,18 @@ import tempfile
 import zlib
 from pathlib import Path
 
+import numpy as np
 from mcap.reader import make_reader
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
+HEADER, PLACED, PLACE, SCAN, STRING, TF, TIME, TURN, VECTOR = (STORE.types[name] for name in (
+    "std_msgs/msg/Header", "geometry_msgs/msg/TransformStamped", "geometry_msgs/msg/Transform",
+    "sensor_msgs/msg/LaserScan", "std_msgs/msg/String", "tf2_msgs/msg/TFMessage",
+    "builtin_interfaces/msg/Time", "geometry_msgs/msg/Quaternion", "geometry_msgs/msg/Vector3"))
+BEGAN = 1_700_000_000_000_000_000
 TOPICS = ["/scan", "/front/scan", "/chatter", "/scip/events"]
 TYPES = ["sensor_msgs/msg/LaserScan", "std_msgs/msg/String", "std_msgs/msg/UInt8MultiArray"]
 
@@ -50,6 +58,70 @@ def by_rosbags(path):
         return sorted(messages)
 
 
+def topics_of(path):
+    with path.open("rb") as file:
+        return {channel.topic for channel in make_reader(file).get_summary().channels.values()}
+
+
+def latched(path):
+    """Writes two maps, the place of two frames and ten texts, one a second, as rosbags does. The
+    topic /never has no message."""
+    def offered(durability):
+        time = QosTime(2**31 - 1, 2**32 - 1)
+        return [Qos(QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, durability, time, time,
+                    QosLiveliness.AUTOMATIC, time, False)]
+
+    version = 8 + len(path.name) % 2
+    with Writer(path, version=version, storage_plugin=StoragePlugin.MCAP) as bag:
+        add = lambda topic, kind, durability: bag.add_connection(
+            topic, kind, typestore=STORE, offered_qos_profiles=offered(durability))
+        volatile, kept = QosDurability.VOLATILE, QosDurability.TRANSIENT_LOCAL
+        places = add("/tf_static", "tf2_msgs/msg/TFMessage", kept)
+        maps, texts = add("/map", "std_msgs/msg/String", kept), add("/text", "std_msgs/msg/String", volatile)
+        add("/never", "std_msgs/msg/Empty", volatile)
+        text = lambda number: STORE.serialize_cdr(STRING(str(number)), "std_msgs/msg/String")
+        for second, child in enumerate(["left", "right", "left"]):
+            time = TIME(second, 0)
+            place = PLACED(HEADER(time, "base"), child, PLACE(VECTOR(second, 0, 0), TURN(0, 0, 0, 1)))
+            bag.write(places, BEGAN + second, STORE.serialize_cdr(TF([place]), "tf2_msgs/msg/TFMessage"))
+        for number in range(2):
+            bag.write(maps, BEGAN + 10 + number, text(number))
+        # The part counts from the first scan.
+        scans = add("/scan", "sensor_msgs/msg/LaserScan", volatile)
+        bag.write(scans, BEGAN + 20, scan())
+        for second in range(1, 10):
+            bag.write(texts, BEGAN + second * 10**9, text(second))
+
+
+def scan():
+    step = 2 * math.pi / 1024
+    ranges = np.ones(5, dtype=np.float32)
+    made = SCAN(HEADER(TIME(1, 0), "laser"), 0.0, 4 * step, step, 0.0001, 0.1, 0.02, 4.095, ranges, ranges[:0])
+    return STORE.serialize_cdr(made, "sensor_msgs/msg/LaserScan")
+
+
+def cut_latched(program, folder):
+    """Cuts 5 s to 7 s out of a folder of rosbags, and reads what the part begins with."""
+    for version in ("bag", "bags"):
+        latched(folder / version)
+        part = folder / f"{version}.mcap"
+        subprocess.run([program, "cut", folder / version, part, "--range", "4.5s..6.5s"], check=True, capture_output=True)
+        with part.open("rb") as file:
+            found = [(c.topic, m.data) for _, c, m in make_reader(file).iter_messages()]
+        text = lambda data: STORE.deserialize_cdr(data, "std_msgs/msg/String").data
+        frames = [STORE.deserialize_cdr(data, "tf2_msgs/msg/TFMessage").transforms[0]
+                  for topic, data in found if topic == "/tf_static"]
+        placed = {place.child_frame_id: place.transform.translation.x for place in frames}
+        assert placed == {"left": 2, "right": 1} and len(frames) == 2, placed
+        assert [text(data) for topic, data in found if topic == "/map"] == ["1"], found
+        assert [text(data) for topic, data in found if topic == "/text"] == ["5", "6"], found
+        assert topics_of(part) == {"/tf_static", "/map", "/text", "/never", "/scan"}, topics_of(part)
+        with Reader(part) as reader:
+            assert {c.topic: c.msgcount for c in reader.connections}["/never"] == 0
+    told = subprocess.run([program, "info", folder / "bag"], check=True, capture_output=True, text=True).stdout
+    assert "scans          1" in told, told
+
+
 def write_bag(path, chance):
     """Writes messages of any bytes on some topics, in a folder as rosbags does."""
     expected, time = [], 1_700_000_000_000_000_000 + chance.randrange(10**10)
@@ -63,11 +135,11 @@ def write_bag(path, chance):
             bag.write(connection, time, data)
             expected.append((connection.topic, time, zlib.crc32(data)))
             time += chance.randrange(10**9)
-    return path / f"{path.name}.mcap", expected
+    return path, expected
 
 
 def join(program, recordings, folder, chance):
-    """Joins a recording and two bags of rosbags. Returns the number of messages."""
+    """Joins a recording and the folders of two bags of rosbags. Returns the number of messages."""
     bags = [write_bag(folder / name, chance) for name in ("one", "two")]
     recording = chance.choice(recordings)
     inputs = [recording, *(path for path, _ in bags)]
@@ -110,6 +182,9 @@ def main():
         with tempfile.TemporaryDirectory() as folder:
             joined += join(sys.argv[2], recordings, Path(folder), random.Random(seed))
     print(f"joined with bags of rosbags: {joined} messages")
+    with tempfile.TemporaryDirectory() as folder:
+        cut_latched(sys.argv[2], Path(folder))
+    print("a part begins with what was latched before it")
 
 
 main()

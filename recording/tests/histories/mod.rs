@@ -484,7 +484,7 @@ fn histories_lose_nothing_and_mix_nothing() {
     assert!(wrong.is_empty(), "went wrong: {:?}", wrong.keys());
 }
 
-/// Joined, so that a reply and its scan may be in two files.
+/// Joined, so that a reply and its scan may be in two files, and as a folder of files.
 #[test]
 fn each_recorded_scan_is_given_back_once() {
     let mut wrong = Vec::new();
@@ -494,6 +494,16 @@ fn each_recorded_scan_is_given_back_once() {
         cut(inputs, .., &mut joined).unwrap();
         let found = scans(&joined).map_err(|Wrong(text)| text).unwrap();
         let stamps: BTreeSet<u64> = found.iter().map(|scan| nanos(scan.stamp())).collect();
+        let folder = own::folder(1);
+        for (number, file) in recording.files.iter().enumerate() {
+            std::fs::write(folder.join(format!("bag_{number}.mcap")), file).unwrap();
+        }
+        let in_folder = Recording::open(&folder).unwrap().scans().map(Result::unwrap);
+        let in_folder: BTreeSet<u64> = in_folder.map(|scan| nanos(scan.stamp())).collect();
+        std::fs::remove_dir_all(folder).unwrap();
+        if in_folder != stamps {
+            wrong.push(format!("seed {seed}: {} scans in a folder", in_folder.len()));
+        }
         let missing = recording.recorded.iter().filter(|stamp| !is_near(**stamp, &stamps)).count();
         let other = stamps.iter().filter(|stamp| !is_near(**stamp, &recording.delivered)).count();
         let doubled = found.len() - stamps.len();

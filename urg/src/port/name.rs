@@ -40,19 +40,22 @@ impl FromStr for PortName {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "emulated" => return Ok(Self::Emulated(Pose::default())),
+            "on" | "off" => return Err(format!("expected a port, and {text} after it")),
+            _ => {}
+        }
         if let Some(recorded) = Recorded::named(Path::new(text)) {
             return Ok(Self::Recording(recorded));
         }
-        match text {
-            "emulated" => Ok(Self::Emulated(Pose::default())),
-            "on" | "off" => Err(format!("expected a port, and {text} after it")),
-            _ if is_nearly(text, "emulated") => Err("did you mean `emulated`?".to_owned()),
-            _ => text.parse().map(Self::Endpoint).map_err(|error: Error| match error.kind() {
-                // clap's message already shows the text.
-                ErrorKind::InvalidEndpoint { reason, .. } => (*reason).to_owned(),
-                _ => error.to_string(),
-            }),
+        if is_nearly(text, "emulated") {
+            return Err("did you mean `emulated`?".to_owned());
         }
+        text.parse().map(Self::Endpoint).map_err(|error: Error| match error.kind() {
+            // clap's message already shows the text.
+            ErrorKind::InvalidEndpoint { reason, .. } => (*reason).to_owned(),
+            _ => error.to_string(),
+        })
     }
 }
 

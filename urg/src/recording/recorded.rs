@@ -15,7 +15,7 @@ use tokio::sync::watch;
 use tokio_scip::port::Connect;
 use tokio_scip::{Driver, Error, Rate, Sensor, SensorBuilder, Window};
 use urg_emulator::Emulator;
-use urg_recording::{Recording, RecordingError, ReplayPace};
+use urg_recording::{Recording, RecordingError, ReplayPace, recording_files};
 
 use super::contents::{self, Contents};
 use super::span::TimeSpan;
@@ -44,10 +44,15 @@ pub(crate) struct Recorded {
 }
 
 impl Recorded {
-    /// Parses the name of a recording. Does not open the file.
+    /// Parses the name of a recording, or of a folder with one. Does not open a file. Reading a bag
+    /// in another format will say how to convert it.
     pub(crate) fn named(path: &Path) -> Option<Self> {
         let is_stdin = path.as_os_str() == "-";
-        (is_stdin || Self::is_name(path)).then(|| Self {
+        let is_other = || {
+            path.is_dir()
+                || matches!(recording_files(path), Err(RecordingError::OtherFormat { .. }))
+        };
+        (is_stdin || Self::is_name(path) || is_other()).then(|| Self {
             path: path.to_owned(),
             stdin: is_stdin.then(Arc::default),
             window: None,

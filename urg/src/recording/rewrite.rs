@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use tempfile::{NamedTempFile, TempPath};
-use urg_recording::{RecordingError, cut};
+use urg_recording::{RecordingError, cut, recording_files};
 
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
@@ -29,6 +29,10 @@ pub(crate) async fn rewrite<T: Send + 'static>(
     let (output, temporary) = created.unzip();
     let to = out.to_owned();
     let writing = tokio::task::spawn_blocking(move || {
+        // A folder has several.
+        let files =
+            files.iter().map(|file| recording_files(file).map_err(|error| failure(file, &error)));
+        let files = files.collect::<Result<Vec<_>, _>>()?.concat();
         let inputs = files.iter().map(|file| open(file)).collect::<Result<_, _>>()?;
         let written = match &output {
             Some(file) => buffered(file, |output| copy(inputs, output))

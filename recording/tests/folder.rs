@@ -1,0 +1,123 @@
+//! Recordings as folders, as `ros2 bag record` makes them.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use tokio_scip::Rate;
+use urg_recording::{Recorder, Recording, RecordingError, cut, recording_files};
+
+use super::sink::{next, observed, sensor, values, window};
+use crate::file::Folder;
+
+/// Records 40 scans, 4 s, into some files in a folder. Returns the values, and the files' names.
+async fn split(folder: &Path) -> (Vec<Vec<u32>>, Vec<PathBuf>) {
+    let builder = Recorder::builder().split_duration(Duration::from_secs(1));
+    let mut recorder = builder.create(folder.join("run.mcap")).unwrap();
+    let (sensor, mut scans) =
+        observed(&recorder, sensor(), window(300, 310, 1), Rate::hz(10.0)).await;
+    recorder.describe(&sensor, &scans).await.unwrap();
+    let delivered = values(&next(&mut recorder, &mut scans, 40).await);
+    let files = recorder.finish().await.unwrap().files;
+    assert!(files >= 4, "{files}");
+    let name = |number| folder.join(format!("run_{number:04}.mcap"));
+    (delivered, [folder.join("run.mcap")].into_iter().chain((2..=files).map(name)).collect())
+}
+
+fn describe(folder: &Path, files: &[&str]) {
+    let list: String = files.iter().map(|file| format!("    - {file}\n")).collect();
+    let text =
+        format!("rosbag2_bagfile_information:\n  relative_file_paths:\n{list}  version: 5\n");
+    fs::write(folder.join("metadata.yaml"), text).unwrap();
+}
+
+/// Values of all scans, and whether an end was missing.
+fn read(recording: Recording) -> (Vec<Vec<u32>>, bool) {
+    let mut scans = recording.scans();
+    let values = scans.by_ref().map(|scan| scan.unwrap().values().to_vec()).collect();
+    (values, scans.is_truncated())
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_folder_is_read_file_by_file() {
+    let folder = Folder::new("folder");
+    let (delivered, names) = split(folder.path()).await;
+    let open = || Recording::open(folder.path()).unwrap();
+    assert_eq!(read(open()), (delivered.clone(), false));
+    let files = || recording_files(folder.path()).unwrap();
+    assert_eq!(files(), names);
+    // A part is the same one as of the joined files, although their indexes are used.
+    for (from, to) in [(0, 500), (900, 1100), (1500, 3200), (3900, 9000)] {
+        let range = Duration::from_millis(from)..Duration::from_millis(to);
+        let (inputs, mut part) = (files().into_iter().map(|f| fs::File::open(f).unwrap()), vec![]);
+        cut(inputs, range.clone(), &mut part).unwrap();
+        let part = Recording::read(std::io::Cursor::new(part)).unwrap();
+        assert_eq!(read(open().range(range)), read(part), "{from}..{to}");
+    }
+    // What `metadata.yaml` says counts more than names.
+    describe(folder.path(), &["run_0003.mcap", "run.mcap"]);
+    assert_eq!(files(), [&names[2], &names[0]].map(PathBuf::clone));
+    let (listed, _) = read(open());
+    assert!(listed.iter().all(|scan| delivered.contains(scan)) && listed.len() < 25);
+    // A file without its end is told, although others follow.
+    let first = folder.path().join("run.mcap");
+    let bytes = fs::read(&first).unwrap();
+    fs::write(&first, &bytes[..bytes.len() - 10]).unwrap();
+    fs::remove_file(folder.path().join("metadata.yaml")).unwrap();
+    assert_eq!(read(open()), (delivered, true));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_missing_file_is_named() {
+    let folder = Folder::new("missing-file");
+    split(folder.path()).await;
+    describe(folder.path(), &["run.mcap", "gone.mcap"]);
+    let last = Recording::open(folder.path()).unwrap().last().unwrap();
+    let error = last.unwrap_err();
+    assert!(
+        matches!(&error, RecordingError::Open { path, .. } if path.ends_with("gone.mcap")),
+        "{error}"
+    );
+}
+
+#[test]
+fn files_without_a_description_are_numbered() {
+    let folder = Folder::new("numbered");
+    let names = ["bag_0.mcap", "bag_1.mcap", "bag_2.mcap", "bag_10.mcap"];
+    names.iter().rev().for_each(|name| fs::write(folder.path().join(name), "").unwrap());
+    fs::write(folder.path().join("notes.txt"), "").unwrap();
+    fs::create_dir(folder.path().join("bag_3.mcap")).unwrap();
+    let expected = names.map(|name| folder.path().join(name));
+    assert_eq!(recording_files(folder.path()).unwrap(), expected);
+}
+
+#[test]
+fn a_bag_in_another_format_is_named() {
+    let folder = Folder::new("other-formats");
+    let open = |path: &Path| Recording::open(path).unwrap_err().to_string();
+    for (name, format, command) in [
+        ("a.db3", "a ROS 2 bag in SQLite", "rosbags-convert --src"),
+        ("a.db3.zstd", "a ROS 2 bag in SQLite", "rosbags-convert --src"),
+        ("a.BAG", "a ROS 1 bag", "rosbags-convert --src"),
+        ("a.mcap.zstd", "compressed as a whole", "zstd -d"),
+    ] {
+        let path: PathBuf = folder.path().join(name);
+        assert!(open(&path).contains("cannot open"), "it is not there yet");
+        fs::write(&path, "").unwrap();
+        // In a folder, with a description and without one.
+        for path in [&*path, folder.path()] {
+            let error = open(path);
+            assert!(error.contains(format) && error.contains(command), "{error}");
+            assert!(error.contains(name), "{error}");
+        }
+        describe(folder.path(), &[name]);
+        assert!(open(folder.path()).contains(format));
+        fs::remove_file(&path).unwrap();
+        fs::remove_file(folder.path().join("metadata.yaml")).unwrap();
+    }
+    assert!(open(folder.path()).contains("neither a metadata.yaml nor .mcap files"));
+    for list in [&["../a.mcap"][..], &["/a.mcap"], &[]] {
+        describe(folder.path(), list);
+        assert!(open(folder.path()).contains("lists no files in it"), "{list:?}");
+    }
+}
