@@ -19,6 +19,15 @@ pub enum RecordingError {
         /// Path of the file.
         path: PathBuf,
     },
+    /// The frame of the scans is no name that tf2 accepts ([`ros::is_frame_id`](super::ros::is_frame_id)).
+    #[error(
+        "invalid frame {frame_id:?}: expected a name such as laser, without a leading `/`, blanks and \
+         control characters"
+    )]
+    FrameId {
+        /// What was found.
+        frame_id: String,
+    },
     /// Another recorder writes the file.
     #[error("{} is being recorded into by another recorder: choose another name", path.display())]
     Busy {
@@ -57,15 +66,6 @@ pub enum RecordingError {
     /// This is not an MCAP file.
     #[error("not a recording: expected an MCAP file, found other bytes at its start")]
     NotMcap,
-    /// Another program compressed the file's chunks, and this build does not read the compression.
-    /// Feature `compression` reads `zstd` and `lz4`. Recordings of this crate are not compressed.
-    #[error("cannot read a recording with `{compression}` compression: {}", remedy(compression))]
-    Compressed {
-        /// Name of the compression.
-        compression: String,
-    },
-    /// A part of the file is malformed: a chunk, about a second of a recording. Reading
-    /// continues after it. A missing end of the file is not an error.
     /// The file is a bag in another format.
     #[error(
         "cannot read {}: expected an MCAP file, found {found}; {}",
@@ -88,6 +88,15 @@ pub enum RecordingError {
         /// What is missing.
         reason: &'static str,
     },
+    /// Another program compressed the file's chunks, and this build does not read the compression.
+    /// Feature `compression` reads `zstd` and `lz4`. Recordings of this crate are not compressed.
+    #[error("cannot read a recording with `{compression}` compression: {}", remedy(compression))]
+    Compressed {
+        /// Name of the compression.
+        compression: String,
+    },
+    /// A part of the file is malformed: a chunk, about a second of a recording. Reading
+    /// continues after it. A missing end of the file is not an error.
     #[error("the recording is damaged at byte {offset}: {reason}")]
     Damaged {
         /// Position of the malformed part in the file.
@@ -123,15 +132,6 @@ fn others(topics: &[String]) -> String {
     }
 }
 
-fn remedy(compression: &str) -> &'static str {
-    match compression {
-        "zstd" | "lz4" => {
-            "build with the feature `compression`, or remove the compression with `mcap decompress in.mcap -o out.mcap`"
-        }
-        _ => {
-            "expected `zstd`, `lz4` or no compression; copy the file with the program that wrote it, without compression"
-        }
-    }
 /// Says how to make an MCAP file of a bag in another format.
 fn conversion(path: &Path) -> String {
     let (from, to) = (path.display(), path.with_extension(""));
@@ -145,6 +145,15 @@ fn conversion(path: &Path) -> String {
     )
 }
 
+fn remedy(compression: &str) -> &'static str {
+    match compression {
+        "zstd" | "lz4" => {
+            "build with the feature `compression`, or remove the compression with `mcap decompress in.mcap -o out.mcap`"
+        }
+        _ => {
+            "expected `zstd`, `lz4` or no compression; copy the file with the program that wrote it, without compression"
+        }
+    }
 }
 
 impl From<FileError> for RecordingError {

@@ -18,6 +18,7 @@ use super::progress::Progress;
 use super::queue::{Queue, QueueSettings};
 use super::writer::Times;
 use crate::event::{Event, Events};
+use crate::ros;
 use tokio_scip::RawReply;
 use tokio_scip::{Error, ReplyObservation, Scan, ScanStream, Sensor};
 
@@ -228,7 +229,8 @@ impl Drop for Recorder {
 }
 
 impl RecorderBuilder {
-    /// Sets the frame of the scans, `header.frame_id` in ROS. Default: `laser`.
+    /// Sets the frame of the scans, `header.frame_id` in ROS. Default: `laser`. A name that tf2 does
+    /// not accept is an [error](RecordingError::FrameId) when you open or start the recording.
     pub fn frame_id(mut self, frame_id: impl Into<String>) -> Self {
         self.frame_id = frame_id.into();
         self
@@ -356,6 +358,7 @@ impl RecorderBuilder {
     ///
     /// The same as for [`RecordingFile::open`].
     pub fn open(&self, path: impl AsRef<Path>) -> Result<RecordingFile, RecordingError> {
+        self.check_frame_id()?;
         let path = path.as_ref();
         if self.limits.removes_old() {
             return RecordingFile::open_part(path.to_owned(), next_path(path)?, self.overwrite);
@@ -374,6 +377,7 @@ impl RecorderBuilder {
     ///
     /// The same as for [`write_to`](Self::write_to).
     pub fn record_into(self, file: RecordingFile) -> Result<Recorder, RecordingError> {
+        self.check_frame_id()?;
         let (current, first) = (file.path().to_owned(), file.first().map(Path::to_owned));
         let out = file.begin().map_err(RecordingError::write)?;
         self.start(out, &current, first)
@@ -388,8 +392,16 @@ impl RecorderBuilder {
     /// Fails with [`RecordingError::Write`] if the file's head cannot be written, or no
     /// thread can be started.
     pub fn write_to(self, out: impl Write + Send + 'static) -> Result<Recorder, RecordingError> {
+        self.check_frame_id()?;
         let out = Output { writer: Box::new(out), durable: None };
         self.start(out, Path::new(""), None)
+    }
+
+    fn check_frame_id(&self) -> Result<(), RecordingError> {
+        match ros::is_frame_id(&self.frame_id) {
+            true => Ok(()),
+            false => Err(RecordingError::FrameId { frame_id: self.frame_id.clone() }),
+        }
     }
 
     fn start(

@@ -141,6 +141,10 @@ fn a_foreign_file_is_an_explained_error() {
 async fn a_recorder_that_is_dropped_ends_its_file_by_itself() {
     let sink = Sink::new();
     let mut length = sink.length();
+    for name in ["/front", "", "a b", "a\n"] {
+        let refused = Recorder::builder().frame_id(name).write_to(Sink::new()).unwrap_err();
+        assert!(matches!(&refused, RecordingError::FrameId { frame_id } if frame_id == name));
+    }
     let recorder = Recorder::builder().frame_id("front").write_to(sink.clone()).unwrap();
     let tap = recorder.observer();
     drop(recorder);

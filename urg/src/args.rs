@@ -124,8 +124,9 @@ pub(crate) fn listen_address(text: &str) -> Result<String, &'static str> {
 
 /// Checks the name of a coordinate frame. ROS uses it unchanged.
 pub(crate) fn frame_id(text: &str) -> Result<String, &'static str> {
-    let is_name = !text.is_empty() && !text.contains(|c: char| c.is_control() || c.is_whitespace());
-    is_name.then(|| text.to_owned()).ok_or("expected a name without blanks and control characters")
+    urg_recording::ros::is_frame_id(text).then(|| text.to_owned()).ok_or(
+        "expected a name such as laser, without a leading `/`, blanks and control characters",
+    )
 }
 
 /// Parses `10s`, `500ms`, `5m`, `1h`, a sum such as `1h 30m`, `1:30:00`, or a number of seconds.
@@ -173,7 +174,7 @@ mod tests {
     #[test]
     fn a_frame_has_a_name() {
         assert_eq!(frame_id("front/laser"), Ok("front/laser".to_owned()));
-        for text in ["", " ", "a b", "a\u{1b}[2J", "a\n"] {
+        for text in ["", " ", "a b", "a\u{1b}[2J", "a\n", "/laser", &"n".repeat(241)] {
             assert!(frame_id(text).is_err(), "{text:?}");
         }
     }

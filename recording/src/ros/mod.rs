@@ -100,6 +100,19 @@ impl MessageType {
     }
 }
 
+/// Longest name of a frame. ROS sets no limit.
+const MAX_FRAME_BYTES: usize = 240;
+
+/// Returns true if a text can be the name of a frame: tf2 refuses an empty one and one with a leading
+/// `/`. Blanks and control characters are no part of a name either, nor are more than 240 bytes.
+pub fn is_frame_id(text: &str) -> bool {
+    let is_part = |c: char| !c.is_control() && !c.is_whitespace();
+    !text.is_empty()
+        && !text.starts_with('/')
+        && text.chars().all(is_part)
+        && text.len() <= MAX_FRAME_BYTES
+}
+
 /// Writes a `std_msgs/msg/Header`.
 fn write_header(cdr: &mut CdrWriter<'_>, stamp: SystemTime, frame_id: &str) {
     let stamp = since_1970(stamp);

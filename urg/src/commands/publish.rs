@@ -1,6 +1,7 @@
 //! `urg publish`: publishes scans as ROS 2 messages, to ROS 2 or to Foxglove.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV4};
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use parking_lot::Mutex;
@@ -9,7 +10,7 @@ use tokio::time::Instant;
 use tokio_scip::Rate;
 use urg_recording::ros::Transform;
 
-use crate::args::{LinkArgs, WindowArgs, frame_id};
+use crate::args::{LinkArgs, WindowArgs, frame_id, listen_address};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
@@ -31,6 +32,9 @@ const DEFAULT_ENGINE: EngineName = if cfg!(feature = "dds") {
 } else {
     EngineName::Zenoh
 };
+
+/// ROS domains whose ports exist.
+const DOMAINS: RangeInclusive<i64> = 0..=232;
 
 /// Address that Foxglove connects to by default.
 const DEFAULT_LISTEN: SocketAddr = SocketAddr::V4(SocketAddrV4::new(Ipv4Addr::LOCALHOST, 8765));
@@ -62,7 +66,7 @@ pub(crate) struct Publish {
     #[arg(long, value_name = "PARENT,X,Y,Z,YAW", value_parser = mounting, help_heading = "ROS")]
     tf: Vec<Transform>,
     /// ROS domain, 0 to 232 [default: ROS_DOMAIN_ID, else 0]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=232),
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(DOMAINS),
         allow_hyphen_values = true, help_heading = "ROS")]
     domain: Option<u16>,
     /// Delivery: `sensor` serves only readers that ask for best effort
@@ -258,9 +262,10 @@ fn domain_of_environment() -> Result<u16, Failure> {
         return Ok(0);
     };
     let domain = text.to_str().and_then(|text| text.parse().ok());
-    domain
-        .filter(|domain| *domain <= 232)
-        .ok_or_else(|| Failure::Usage(format!("invalid ROS_DOMAIN_ID {text:?}: expected 0 to 232")))
+    domain.filter(|domain| DOMAINS.contains(&i64::from(*domain))).ok_or_else(|| {
+        let expected = format!("expected {} to {}", DOMAINS.start(), DOMAINS.end());
+        Failure::Usage(format!("invalid ROS_DOMAIN_ID {text:?}: {expected}"))
+    })
 }
 
 fn address(text: &str) -> Result<IpAddr, &'static str> {
@@ -268,7 +273,10 @@ fn address(text: &str) -> Result<IpAddr, &'static str> {
 }
 
 fn listen(text: &str) -> Result<SocketAddr, &'static str> {
-    text.parse().map_err(|_| "expected an address and a port, such as 0.0.0.0:8765")
+    let address = listen_address(text).ok().and_then(|address| address.parse().ok());
+    address.ok_or(
+        "expected a port number such as 8765, or an address and a port, such as 0.0.0.0:8765",
+    )
 }
 
 /// Checks a locator: this build of zenoh has TCP only.
@@ -300,7 +308,7 @@ fn seconds(text: &str) -> Result<f64, &'static str> {
 /// more for a sensor that is not upright. The child, the frame of the sensor, is not known yet.
 fn mounting(text: &str) -> Result<Transform, String> {
     let (parent, numbers) = text.split_once(',').unwrap_or((text, ""));
-    let is_frame = frame_id(parent).is_ok() && !parent.starts_with('/');
+    let is_frame = frame_id(parent).is_ok();
     match pose::distances_and_angles(numbers).filter(|_| is_frame) {
         Some((translation, rotation)) => {
             Ok(Transform { parent: parent.to_owned(), child: String::new(), translation, rotation })

@@ -24,7 +24,8 @@ pub(crate) struct NameArgs {
     #[arg(long, value_name = "NAME", default_value = "/")]
     namespace: String,
     /// Coordinate frame of the scans
-    #[arg(long, visible_alias = "frame-id", value_name = "NAME", default_value = "laser")]
+    #[arg(long, visible_alias = "frame-id", value_name = "NAME", default_value = "laser",
+        value_parser = frame_id)]
     frame: String,
 }
 
@@ -74,13 +75,6 @@ impl NameArgs {
             _ => parts(inner, namespace).map_err(usage("--namespace"))?,
         };
         let node = token(node).map_err(usage("--node"))?;
-        // tf2 refuses a leading slash. Otherwise a frame may contain almost any character.
-        if frame_id(frame).is_err() || frame.starts_with('/') || frame.len() > MAX_NAME {
-            return Err(usage("--frame")(format!(
-                "invalid frame {frame:?}: expected a name such as laser, without a leading `/`, \
-                 spaces and control characters"
-            )));
-        }
         let mut topics = BTreeSet::new();
         let named = sensors.iter().map(|sensor| {
             let name = sensor.name.as_deref();
