@@ -189,7 +189,8 @@ def slowest_health(seconds):
 
 
 def a_sensor_that_takes_no_bytes_delays_no_other():
-    """Closing its terminal takes 30 s."""
+    """Closing its terminal takes 30 s. On a busy host the machine itself has gaps: it counts how
+    much longer they become."""
     server = Running(f"serve front=serial:H0000001 rear={second.path()} --listen 8090")
     arrivals = {"front": [], "rear": []}
 
@@ -203,11 +204,16 @@ def a_sensor_that_takes_no_bytes_delays_no_other():
     wait(lambda: any("8090" in notice for notice in server.notices), "the server is not ready")
     threading.Thread(target=read_scans, daemon=True).start()
     wait(lambda: all(len(times) > 5 for times in arrivals.values()), "no scans of both")
+
+    def largest_gap_and_slowest_health(seconds):
+        began = time.monotonic()
+        health = slowest_health(seconds)
+        rear = [time for time in arrivals["rear"] if time > began]
+        return max(after - before for before, after in zip(rear, rear[1:])), health
+
+    usual_gap, usual_health = largest_gap_and_slowest_health(20)
     first.hang()
-    began = time.monotonic()
-    health = slowest_health(50)
-    rear = [time for time in arrivals["rear"] if time > began]
-    gap = max(after - before for before, after in zip(rear, rear[1:]))
+    gap, health = largest_gap_and_slowest_health(50)
     first.recover()
     recovered = time.monotonic()
     wait(lambda: arrivals["front"][-1] > recovered, "no scan of a sensor that has recovered", 0.01)
@@ -216,8 +222,10 @@ def a_sensor_that_takes_no_bytes_delays_no_other():
     time.sleep(10)
     ended = end_of(server, signal.SIGINT)
     first.recover()
-    told = f"gap {gap:.2f} s, /health {health:.2f} s, back after {back:.1f} s, Ctrl-C {ended:.2f} s"
-    expect(gap < 0.5 and health < 1 and back < 2 and ended < 1, told)
+    told = (f"gap {gap:.2f} s, before {usual_gap:.2f} s; /health {health:.2f} s, before {usual_health:.2f} s; "
+            f"back after {back:.1f} s, Ctrl-C {ended:.2f} s")
+    expect(gap < max(0.5, 2 * usual_gap) and health < max(1, 2 * usual_health), told)
+    expect(back < max(1.5, 2 * usual_gap) and ended < 1, told)
     return told
 
 
@@ -239,6 +247,9 @@ def commands_end_in_time_if_the_sensor_takes_no_bytes():
     duration = time.monotonic() - began
 
     began = time.monotonic()
+    urg(f"info {second.path()}")
+    usual_info = time.monotonic() - began
+    began = time.monotonic()
     urg(f"info {first.path()}", code=1)
     info = time.monotonic() - began
 
@@ -256,8 +267,10 @@ def commands_end_in_time_if_the_sensor_takes_no_bytes():
     time.sleep(2)
     killed = end_of(stream, signal.SIGKILL)
     first.recover()
-    told = f"--duration 6s {duration:.1f} s, info {info:.1f} s, Ctrl-C {interrupt:.2f} s, kill -9 {killed:.1f} s"
-    expect(duration < 7 and info < 6 and interrupt < 1, told)
+    told = (f"--duration 6s {duration:.1f} s, info {info:.1f} s ({usual_info:.1f} s if healthy), "
+            f"Ctrl-C {interrupt:.2f} s, kill -9 {killed:.1f} s")
+    # `info` gives up after 5 s.
+    expect(duration < 7 and info < 6 + usual_info and interrupt < 1, told)
     return told
 
 
