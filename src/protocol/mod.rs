@@ -23,6 +23,7 @@ mod geometry;
 mod malformed;
 mod measurement;
 mod reply;
+pub mod scip2;
 mod status;
 mod text;
 mod version;

@@ -15,12 +15,12 @@ cd "$(dirname "$0")"
 
 # The greatest length of an input, beyond which each target only repeats itself.
 declare -A longest=(
-    [codec]=100 [reply]=100 [version]=160 [emulator]=100 [recording]=200 [part]=60 [driver]=64
+    [codec]=100 [reply]=100 [scip2]=300 [version]=160 [emulator]=100 [recording]=200 [part]=60 [driver]=64
 )
 # The number of executions of each target with --all: about eight seconds.
 declare -A executions=(
-    [codec]=700000 [reply]=700000 [version]=500000 [emulator]=150000 [recording]=150000
-    [part]=40000 [driver]=50000
+    [codec]=700000 [reply]=700000 [scip2]=300000 [version]=500000 [emulator]=150000
+    [recording]=150000 [part]=40000 [driver]=50000
 )
 if [ "${1-}" != --all ] && [ -z "${longest[${1-none}]-}" ]; then
     sed -n '2,/^set/s/^# \{0,1\}//p' run.sh >&2

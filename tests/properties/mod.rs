@@ -5,6 +5,7 @@ mod driver;
 mod framing;
 mod peer;
 mod replies;
+mod scip2;
 mod script;
 mod versions;
 
@@ -31,5 +32,35 @@ proptest! {
     #[test]
     fn every_line_of_a_version_is_kept(script in prop::collection::vec(any::<u8>(), 0..200)) {
         versions::every_line_of_a_version_is_kept(&script);
+    }
+
+    #[test]
+    fn only_scans_of_scip_2_are_accepted(script in prop::collection::vec(any::<u8>(), 0..80)) {
+        scip2::only_scans_of_the_text_are_accepted(&script);
+    }
+
+    #[test]
+    fn any_bytes_of_scip_2_are_judged(script in prop::collection::vec(any::<u8>(), 0..300)) {
+        scip2::any_bytes_are_judged(&script);
+    }
+
+    #[test]
+    fn whole_scans_of_scip_2_are_decoded(script in prop::collection::vec(any::<u8>(), 0..40)) {
+        scip2::whole_scans_are_decoded(&script);
+    }
+}
+
+proptest! {
+    // Each case flips every bit of a frame.
+    #![proptest_config(ProptestConfig::with_cases(16))]
+
+    #[test]
+    fn flipped_bits_of_scip_2_are_refused(script in prop::collection::vec(any::<u8>(), 0..40)) {
+        scip2::flipped_bits_and_missing_ends_are_refused(&script);
+    }
+
+    #[test]
+    fn flipped_bits_in_an_identity_are_refused(script in prop::collection::vec(any::<u8>(), 0..200)) {
+        scip2::flipped_bits_in_an_identity_are_refused(&script);
     }
 }

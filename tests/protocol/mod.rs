@@ -8,6 +8,7 @@ mod damage;
 mod encoder;
 mod fence;
 mod replies;
+mod scip2;
 mod values;
 mod version;
 mod windows;

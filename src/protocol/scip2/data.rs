@@ -1,0 +1,192 @@
+//! Scans: decodes values, and checks the sum of each line on the way.
+
+use std::iter::repeat_n;
+use std::slice::{from_mut, from_ref};
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::command::{Data, LINE};
+use super::lines::{FIRST_CHARACTER, block, number};
+use super::malformed::{MalformedError, quoted};
+
+/// Values of three characters in three full lines: a value that runs over the end of a line never
+/// runs over the end of these.
+const VALUES: usize = 64;
+/// Length of a full line with its sum and LF, and of three of them.
+const FULL: usize = LINE + 2;
+const BLOCK: usize = 3 * FULL;
+
+/// Time of a sensor's clock.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Stamp {
+    /// Milliseconds, 24 bits: begins anew at 0 after 4 h 40 min, and at a reset (p. 12).
+    Milliseconds(u32),
+    /// Microseconds, as the `%` commands send it.
+    Microseconds(u64),
+}
+
+impl Stamp {
+    /// Decodes 4 or 11 characters. A time of 11 characters has 66 bits, and must fit in 64.
+    pub(super) fn parse(characters: &[u8]) -> Result<Self, MalformedError> {
+        let number = number(characters);
+        let stamp = match characters.len() {
+            4 => u32::try_from(number).map(Self::Milliseconds),
+            _ => u64::try_from(number).map(Self::Microseconds),
+        };
+        stamp.map_err(|_| MalformedError::new(0, "a time below 2^64", quoted(characters)))
+    }
+
+    /// Time since the clock was last at 0.
+    pub const fn since_zero(self) -> Duration {
+        match self {
+            Self::Milliseconds(number) => Duration::from_millis(number as u64),
+            Self::Microseconds(number) => Duration::from_micros(number),
+        }
+    }
+}
+
+/// Scan of a reply to `G` or `M`. One allocation holds all its values.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Scan {
+    stamp: Stamp,
+    left: u8,
+    /// All distances, then all intensities.
+    values: Arc<[u32]>,
+    points: usize,
+}
+
+impl Scan {
+    pub(super) fn parse(
+        stamp: Stamp,
+        left: u8,
+        data: &[u8],
+        kind: Data,
+        points: usize,
+    ) -> Result<Self, MalformedError> {
+        let characters = points * kind.characters();
+        let count = if kind == Data::Intensities { 2 * points } else { points };
+        let mut values: Arc<[u32]> = repeat_n(0, count).collect();
+        let slots = Arc::get_mut(&mut values).unwrap_or_default();
+        let is_right_length = data.len() + 1 == characters + 2 * characters.div_ceil(LINE);
+        let is_whole = kind != Data::ShortDistances
+            && is_right_length
+            && decode(data, slots, kind == Data::Intensities);
+        if !is_whole {
+            block(data, 1, characters)?;
+            let full = data.split(|&byte| byte == b'\n').flat_map(|line| line.split_last());
+            let characters: Vec<u8> =
+                full.flat_map(|(_, characters)| characters).copied().collect();
+            for (slot, value) in slots.iter_mut().zip(characters.chunks(2)) {
+                *slot = number(value) as u32;
+            }
+        }
+        Ok(Self { stamp, left, values, points })
+    }
+
+    /// Time of the sensor's clock at step 0 of the scan (p. 12).
+    pub const fn stamp(&self) -> Stamp {
+        self.stamp
+    }
+
+    /// Number of scans that a stream with an end will still send. 0 for an endless stream.
+    pub const fn left(&self) -> u8 {
+        self.left
+    }
+
+    /// Distances in millimetres, 18 bits, in the order of their steps. Which values are no distance
+    /// depends on the model: see [`Codes`](super::Codes).
+    pub fn distances(&self) -> &[u32] {
+        self.values.get(..self.points).unwrap_or_default()
+    }
+
+    /// Intensities, 18 bits, in the order of their steps. Empty unless asked for.
+    pub fn intensities(&self) -> &[u32] {
+        self.values.get(self.points..).unwrap_or_default()
+    }
+}
+
+/// Decodes lines of values of three characters. Returns true if each line has the right shape,
+/// characters and sum, for data of the right length. If `in_pairs`, distances and intensities take
+/// turns.
+fn decode(data: &[u8], values: &mut [u32], in_pairs: bool) -> bool {
+    let (blocks, rest) = data.as_chunks();
+    let last = full_block(rest);
+    let mut out = [0; VALUES];
+    let mut is_whole = true;
+    if in_pairs {
+        let (distances, intensities) = values.split_at_mut(values.len() / 2);
+        let slots = distances.chunks_mut(VALUES / 2).zip(intensities.chunks_mut(VALUES / 2));
+        for (block, (distances, intensities)) in blocks.iter().chain([&last]).zip(slots) {
+            is_whole &= decode_blocks(from_ref(block), from_mut(&mut out));
+            let slots = distances.iter_mut().zip(intensities);
+            for ((distance, intensity), pair) in slots.zip(out.as_chunks().0) {
+                [*distance, *intensity] = *pair;
+            }
+        }
+    } else {
+        let (whole, rest) = values.split_at_mut(values.len().min(VALUES * blocks.len()));
+        is_whole &= decode_blocks(blocks, whole.as_chunks_mut().0);
+        is_whole &= decode_blocks(&[last], from_mut(&mut out));
+        rest.iter_mut().zip(out).for_each(|(slot, value)| *slot = value);
+    }
+    is_whole
+}
+
+/// Fills up less than three lines, of which the last has no LF, with characters that stand for 0.
+fn full_block(rest: &[u8]) -> [u8; BLOCK] {
+    let mut block = [FIRST_CHARACTER; BLOCK];
+    let mut lines = rest.chunks(FULL);
+    for [slots @ .., sum, end] in block.as_chunks_mut::<FULL>().0 {
+        *end = b'\n';
+        let line = lines.next().unwrap_or_default();
+        if let Ok([characters @ .., found, found_end]) = <&[u8; FULL]>::try_from(line) {
+            (*slots, *sum, *end) = (*characters, *found, *found_end);
+        } else if let Some((&found, characters)) = line.split_last() {
+            slots.iter_mut().zip(characters).for_each(|(slot, &character)| *slot = character);
+            // The sum of the characters that are missing.
+            let added = FIRST_CHARACTER.wrapping_mul((LINE - characters.len()) as u8);
+            let six = found.wrapping_sub(FIRST_CHARACTER);
+            *sum = if six < 64 { (six.wrapping_add(added) & 63) + FIRST_CHARACTER } else { found };
+        }
+    }
+    block
+}
+
+/// Decodes blocks of three full lines. Returns true if each line has characters only, its sum and
+/// its LF.
+///
+/// No branch depends on a byte, so that the compiler uses vector instructions. It does so in one
+/// copy of this loop, but not in several.
+#[inline(never)]
+fn decode_blocks(blocks: &[[u8; BLOCK]], values: &mut [[u32; VALUES]]) -> bool {
+    let (mut seen, mut faults) = ([0; LINE], 0);
+    for (block, values) in blocks.iter().zip(values) {
+        let mut sixes = [0; 3 * LINE];
+        let lines = block.as_chunks::<FULL>().0.iter();
+        for ([line @ .., sum, end], sixes) in lines.zip(sixes.as_chunks_mut::<LINE>().0) {
+            // The sum of 64 characters is that of their numbers: 64 times 0x30 has no low bits.
+            let mut expected = 0u8;
+            for ((character, six), seen) in line.iter().zip(sixes).zip(&mut seen) {
+                *six = character.wrapping_sub(FIRST_CHARACTER);
+                expected = expected.wrapping_add(*six);
+                *seen |= *six;
+            }
+            let expected = [(expected & 63) + FIRST_CHARACTER, b'\n'];
+            faults |= u16::from_le_bytes([*sum, *end]) ^ u16::from_le_bytes(expected);
+        }
+        let mut words = [[0; 3]; VALUES / 4];
+        for (word, bytes) in words.as_flattened_mut().iter_mut().zip(sixes.as_chunks().0) {
+            *word = u32::from_le_bytes(*bytes);
+        }
+        for (&[a, b, c], values) in words.iter().zip(values.as_chunks_mut().0) {
+            // Twelve characters make four values.
+            *values = [
+                a << 12 & 0x3f000 | a >> 2 & 0xfc0 | a >> 16 & 0x3f,
+                a >> 12 & 0x3f000 | b << 6 & 0xfc0 | b >> 8 & 0x3f,
+                b >> 4 & 0x3f000 | b >> 18 & 0xfc0 | c & 0x3f,
+                c << 4 & 0x3f000 | c >> 10 & 0xfc0 | c >> 24,
+            ];
+        }
+    }
+    faults == 0 && seen.iter().fold(0, |all, six| all | six) < 64
+}

@@ -1,0 +1,159 @@
+//! What a sensor says about itself: its replies to `VV`, `PP` and `II`.
+
+use std::fmt::Debug;
+use std::ops::RangeInclusive;
+use std::str::FromStr;
+
+use super::lines::{number, pair};
+use super::malformed::{MalformedError, quoted};
+use crate::protocol::{Text, Version};
+
+/// Parses the data of a reply to `VV`.
+pub(super) fn version(data: &[u8]) -> Result<Version, MalformedError> {
+    let lines: Vec<&[u8]> = data.split(|&byte| byte == b'\n').collect();
+    // Some URG-04LX send one character more, on a line of its own, and a wrong sum of the serial
+    // number.
+    let (lines, serial) = match &lines[..] {
+        [lines @ .., serial, [_]] if serial.starts_with(b"SERI:") => (lines, Some(serial)),
+        lines => (lines, None),
+    };
+    for (line, bytes) in lines.iter().enumerate() {
+        pair((line, bytes), false)?;
+    }
+    // Without semicolon and sum.
+    let without_sum = |line: &&'_ [u8]| line.iter().rposition(|&byte| byte == b';');
+    let all = lines.iter().chain(serial);
+    let pairs = all.map(|line| line.get(..without_sum(line).unwrap_or(line.len())));
+    let version = Version::from_lines(pairs.flatten());
+    for (key, value) in [
+        ("VEND", &version.vendor),
+        ("PROD", &version.product),
+        ("FIRM", &version.firmware),
+        ("PROT", &version.protocol),
+        ("SERI", &version.serial_number),
+    ] {
+        if value.is_empty() || !value.is_printable() {
+            return Err(MalformedError::new(None, format!("{key}:text"), quoted(value.as_bytes())));
+        }
+    }
+    Ok(version)
+}
+
+/// What a sensor measures: its reply to `PP` (p. 21).
+///
+/// A step is `360 / steps_per_revolution` degrees; count it from `front`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Parameters {
+    /// `MODL`, such as `URG-04LX(Hokuyo Automatic Co.,Ltd.)`.
+    pub model: Text,
+    /// `DMIN` and `DMAX`: measurable distances in millimetres.
+    pub distances: RangeInclusive<u32>,
+    /// `ARES`: steps in a revolution.
+    pub steps_per_revolution: u16,
+    /// `AMIN` and `AMAX`: steps that the sensor measures.
+    pub steps: RangeInclusive<u16>,
+    /// `AFRT`: step straight ahead.
+    pub front: u16,
+    /// `SCAN`: speed of the motor in revolutions per minute.
+    pub motor_speed: u16,
+    /// Keys and values that are none of these.
+    pub other: Vec<(Text, Text)>,
+}
+
+impl Parameters {
+    pub(super) fn parse(data: &[u8]) -> Result<Self, MalformedError> {
+        let (mut model, mut other) = (Text::default(), Vec::new());
+        let mut numbers = [&b""[..]; 7];
+        let [d_min, d_max, resolution, first, last, front, speed] = &mut numbers;
+        for line in data.split(|&byte| byte == b'\n').enumerate() {
+            let (key, value) = pair(line, false)?;
+            match key {
+                b"MODL" => model = value.into(),
+                b"DMIN" => *d_min = value,
+                b"DMAX" => *d_max = value,
+                b"ARES" => *resolution = value,
+                b"AMIN" => *first = value,
+                b"AMAX" => *last = value,
+                b"AFRT" => *front = value,
+                b"SCAN" => *speed = value,
+                _ => other.push((key.into(), value.into())),
+            }
+        }
+        let [d_min, d_max, resolution, first, last, front, speed] = numbers;
+        let all = 0..=9999;
+        let first = whole("AMIN", first, all.clone())?;
+        let d_min = whole("DMIN", d_min, 0..=u32::MAX)?;
+        Ok(Self {
+            model,
+            distances: d_min..=whole("DMAX", d_max, d_min..=u32::MAX)?,
+            steps_per_revolution: whole("ARES", resolution, 1..=u16::MAX)?,
+            steps: first..=whole("AMAX", last, first..=9999)?,
+            front: whole("AFRT", front, all)?,
+            motor_speed: whole("SCAN", speed, 1..=u16::MAX)?,
+            other,
+        })
+    }
+}
+
+/// Parses a whole number in a range. Not found, it is empty.
+fn whole<N: FromStr + PartialOrd + Debug>(
+    key: &str,
+    found: &[u8],
+    valid: RangeInclusive<N>,
+) -> Result<N, MalformedError> {
+    let number = std::str::from_utf8(found).ok().and_then(|text| text.parse().ok());
+    number
+        .filter(|number| valid.contains(number))
+        .ok_or_else(|| MalformedError::new(None, format!("{key}:{valid:?}"), quoted(found)))
+}
+
+/// State of a sensor: its reply to `II` (p. 22). Fields that a sensor leaves out are empty.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct State {
+    /// `MODL`, as in [`Parameters`].
+    pub model: Text,
+    /// `LASR`: whether the laser is on.
+    pub laser_on: Option<bool>,
+    /// `SCSP`: speed of the motor, such as `Initial(600[rpm])<-Default setting by user`.
+    pub motor_speed: Text,
+    /// `MESM`: what it is doing, such as `IDLE`. A UST says `Measuring by Sensitive Mode` when idle.
+    pub measuring: Text,
+    /// `SBPS`: baud rate, such as `Ethernet 100 [Mbps]`.
+    pub baud_rate: Text,
+    /// `TIME`: its clock in ms. USB models send it in hexadecimal, others in four characters.
+    pub clock: Option<u32>,
+    /// `STAT`: whether it works, in words that differ by model, such as `Sensor works well.`.
+    pub diagnosis: Text,
+    /// Keys and values that are none of these.
+    pub other: Vec<(Text, Text)>,
+}
+
+impl State {
+    pub(super) fn parse(data: &[u8]) -> Result<Self, MalformedError> {
+        let mut state = Self::default();
+        for line in data.split(|&byte| byte == b'\n').enumerate() {
+            let (key, value) = pair(line, true)?;
+            match key {
+                b"MODL" => state.model = value.into(),
+                b"LASR" if value == b"ON" => state.laser_on = Some(true),
+                b"LASR" if value == b"OFF" => state.laser_on = Some(false),
+                b"SCSP" => state.motor_speed = value.into(),
+                b"MESM" => state.measuring = value.into(),
+                b"SBPS" => state.baud_rate = value.into(),
+                b"TIME" if clock(value).is_some() => state.clock = clock(value),
+                b"STAT" => state.diagnosis = value.into(),
+                _ => state.other.push((key.into(), value.into())),
+            }
+        }
+        Ok(state)
+    }
+}
+
+fn clock(value: &[u8]) -> Option<u32> {
+    match value {
+        [_, _, _, _] => u32::try_from(number(value)).ok(),
+        _ => u32::from_str_radix(std::str::from_utf8(value).ok()?, 16).ok(),
+    }
+}

@@ -1,0 +1,57 @@
+//! [`Codes`]: which values are no distance.
+
+/// Values that stand for "no distance", which depend on the model.
+///
+/// ```
+/// use tokio_scip::protocol::scip2::Codes;
+///
+/// assert_eq!(Codes::of(b"UTM-30LX").meaning(3), Some("interference"));
+/// assert_eq!(Codes::of(b"UTM-30LX").meaning(6), None); // a distance
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Codes {
+    /// 0 to 19: URG, UBG and UHG (p. 12).
+    Urg,
+    /// 1 to 5: UTM on USB (p. 12).
+    Utm,
+    /// 65533: UST, and UTM on Ethernet (`-EW`). Seen from real sensors; in no document.
+    Ethernet,
+    /// None that are known.
+    Unknown,
+}
+
+impl Codes {
+    /// Returns the codes of a model by its name, as in [`Parameters::model`](super::Parameters).
+    pub fn of(model: &[u8]) -> Self {
+        match model {
+            [b'U', b'R' | b'B' | b'H', b'G', ..] => Self::Urg,
+            [b'U', b'T', b'M', b'-', rest @ ..] if !rest.windows(3).any(|part| part == b"-EW") => {
+                Self::Utm
+            }
+            [b'U', b'T', b'M' | b'X', b'-', ..] | [b'U', b'S', b'T', ..] => Self::Ethernet,
+            _ => Self::Unknown,
+        }
+    }
+
+    /// Returns why `value` is no distance, or `None` if it is one. It may still be outside of
+    /// [`Parameters::distances`](super::Parameters).
+    pub const fn meaning(self, value: u32) -> Option<&'static str> {
+        Some(match (self, value) {
+            (Self::Urg, 0) => "an object may be at 22 m",
+            (Self::Urg, 1 | 2) => "little light returned",
+            (Self::Urg, 7) => "the steps before and after have errors",
+            (Self::Urg, 8) => "the intensities of two waves differ",
+            (Self::Urg, 9) => "the same step had an error in the last two scans",
+            (Self::Urg, 18) => "strong reflector",
+            (Self::Urg, 19) => "step that is not measured",
+            (Self::Urg, 3..=17) => "other error",
+            (Self::Utm, 1) | (Self::Ethernet, 65_533) => "nothing in range",
+            (Self::Utm, 2) => "object too near",
+            (Self::Utm, 3) => "interference",
+            (Self::Utm, 4) => "object before the near end of the range",
+            (Self::Utm, 5) => "other error",
+            _ => return None,
+        })
+    }
+}
