@@ -5,7 +5,7 @@
 //! cd examples/rerun
 //! cargo run emulated@0.2,0,0 emulated@-0.2,0,180
 //! cargo run serial:H0713090@0.2,0,0 serial:H0713091@-0.2,0,180
-//! cargo run --save run.rrd emulated@0,0,0
+//! cargo run -- --save run.rrd emulated@0,0,0
 //! ```
 //!
 //! Each sensor has its place: metres ahead, metres to the left, degrees counter-clockwise. With
