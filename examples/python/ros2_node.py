@@ -23,7 +23,7 @@ for line in sys.stdin:
     message.angle_max = scan["angle_min"] + (len(scan["ranges"]) - 1) * scan["angle_increment"]
     message.time_increment = scan["scan_time"] / 1024 * scan["cluster"]
     message.scan_time = scan["scan_time"]
-    message.range_min, message.range_max = 0.020, 4.094
+    message.range_min, message.range_max = 0.019, 4.095  # every distance lies between
     # REP 117: error codes 0, 6 and 16 and value 4095 may be beyond range, others are unknown.
     message.ranges = [
         r if r is not None else math.inf if v in (0, 6, 16, 4095) else math.nan

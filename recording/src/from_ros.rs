@@ -1,10 +1,11 @@
 //! [`MessageScan`]: what a `/scan` message tells about the reply that it was made of. Recordings
 //! without replies have nothing else.
 
+use std::ops::RangeInclusive;
 use std::time::{Duration, SystemTime};
 
 use crate::ros::LaserScan;
-use tokio_scip::{Geometry, Measurement, Scan, Window};
+use tokio_scip::{Scan, Window};
 
 /// Angle from one step to the next in radians.
 const STEP: f64 = std::f64::consts::TAU / 1024.0;
@@ -12,10 +13,15 @@ const STEP: f64 = std::f64::consts::TAU / 1024.0;
 const FRONT: f64 = 384.0;
 /// Largest difference of an angle from its step, in steps. Other laser scanners have other angles.
 const TOLERANCE: f64 = 0.05;
-/// Error code 19, "Non-Measurable Distance", in place of all codes that a message has as NaN.
+/// Error code 19, "Non-Measurable Distance", in place of all codes that a message has as NaN, and of
+/// -Inf: an object that is too near (REP 117). The code never counts as free.
 const UNKNOWN: u32 = 19;
 /// Error code 16, "in the range 4096mm~5.6m", in place of all codes that a message has as infinite.
 const BEYOND_RANGE: u32 = 16;
+/// Error code 0, "at 22m", for distances that code 16 excludes.
+const FAR: u32 = 0;
+/// Motors turn once in 25 to 200 ms. A time beyond these limits is in another unit, or is none.
+const REVOLUTIONS: RangeInclusive<f32> = 0.001..=1.0;
 
 /// Scan of a URG, as far as a message has it.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,56 +35,87 @@ pub(super) struct MessageScan {
 }
 
 impl MessageScan {
-    /// Converts a message. `known` is the window of the recorded stream, because a message does
+    /// Converts a message. `known` are the windows of the recorded streams, because a message does
     /// not tell how many steps its last point has. Returns `None` if the message has other
     /// directions than the steps of a URG.
-    pub(super) fn from_message(message: &LaserScan, known: Option<Window>) -> Option<Self> {
+    pub(super) fn from_message(
+        message: &LaserScan,
+        known: impl IntoIterator<Item = Window>,
+    ) -> Option<Self> {
+        let mut windows = known.into_iter().chain(by_definition(message)).chain(by_steps(message));
+        let window = windows.find(|window| has_directions(message, window))?;
         let values: Vec<u32> = message.ranges.iter().map(|range| value(*range)).collect();
-        let scan_time = Duration::try_from_secs_f32(message.scan_time).ok();
-        let scan_time = scan_time.filter(|time| !time.is_zero());
-        known.into_iter().chain(derived(message)).find_map(|window| {
-            let mut scan = Scan::builder(window, values.as_slice()).stamp(message.stamp);
-            if let Some(time) = scan_time {
-                scan = scan.scan_time(time);
-            }
-            let scan = scan.build().ok()?;
-            let is_near = |ours: f32, theirs: f32| {
-                ((f64::from(ours) - f64::from(theirs)) / STEP).abs() < TOLERANCE
-            };
-            let is_same = is_near(scan.angle_min(), message.angle_min)
-                && is_near(scan.angle_max(), message.angle_max)
-                && is_near(scan.angle_increment(), message.angle_increment);
-            let until_end = message.stamp.duration_since(scan.first_ray_stamp()).ok()?;
-            let stamp = message.stamp.checked_add(until_end)?;
-            let values = is_same.then(|| scan.values().to_vec())?;
-            Some(Self { window, values, stamp, scan_time })
-        })
+        let scan_time = Some(message.scan_time).filter(|time| REVOLUTIONS.contains(time));
+        let scan_time = scan_time.map(Duration::from_secs_f32);
+        let mut scan = Scan::builder(window, values.as_slice()).stamp(message.stamp);
+        if let Some(time) = scan_time {
+            scan = scan.scan_time(time);
+        }
+        let first_ray = scan.build().ok()?.first_ray_stamp();
+        let until_end = message.stamp.duration_since(first_ray).unwrap_or_default();
+        let stamp = message.stamp.checked_add(until_end)?;
+        Some(Self { window, values, stamp, scan_time })
     }
 }
 
-/// Window with the directions of a message, if there is one. Its last point has all steps of its
-/// cluster that exist.
-fn derived(message: &LaserScan) -> Option<Window> {
-    let whole = |number: f64, range: std::ops::RangeInclusive<f64>| {
-        range.contains(&number.round()).then(|| number.round() as u16)
-    };
-    let cluster = whole(f64::from(message.angle_increment) / STEP, 1.0..=99.0)?;
-    let middle = f64::from(cluster - 1) / 2.0;
-    let start = whole(f64::from(message.angle_min) / STEP + FRONT - middle, 0.0..=768.0)?;
-    let steps = u16::try_from(message.ranges.len()).ok()?.checked_mul(cluster)?;
+/// Directions of the first and the last point of a window, in steps: by the definition of a
+/// `LaserScan`, and as `urg_node` writes them, which takes the first and the last step.
+fn ends(window: &Window) -> [[f64; 2]; 2] {
+    let cluster = f64::from(window.cluster_count());
+    let first = f64::from(window.start().number());
+    let middle = first + (cluster.min(window.steps() as f64) - 1.0) / 2.0;
+    let last = middle + cluster * (window.points() - 1) as f64;
+    [[middle, last], [first, f64::from(window.end().number())]]
+}
+
+fn has_directions(message: &LaserScan, window: &Window) -> bool {
+    let is_near = |ours: f64, theirs: f64| (ours - theirs).abs() < TOLERANCE;
+    let [first, last] = [message.angle_min, message.angle_max].map(step);
+    window.points() == message.ranges.len()
+        && is_near(window.cluster_count().into(), f64::from(message.angle_increment) / STEP)
+        && ends(window).iter().any(|[ours, end]| is_near(*ours, first) && is_near(*end, last))
+}
+
+/// Window whose first point has the direction of `angle_min`, if there is one. Its last point has
+/// all steps of its cluster that exist.
+fn by_definition(message: &LaserScan) -> Option<Window> {
+    let cluster = cluster(message)?;
+    let start = whole(step(message.angle_min) - f64::from(cluster - 1) / 2.0, 0..=768)?;
+    let steps = u16::try_from(message.ranges.len()).ok()?.checked_mul(cluster.into())?;
     let end = start.checked_add(steps.checked_sub(1)?)?.min(768);
-    Window::new(start..=end).ok()?.with_cluster_count(cluster.try_into().ok()?).ok()
+    Window::new(start..=end).ok()?.with_cluster_count(cluster).ok()
+}
+
+/// Window from the step at `angle_min` to the step at `angle_max`, if there is one.
+fn by_steps(message: &LaserScan) -> Option<Window> {
+    let end = |angle| whole(step(angle), 0..=768);
+    let window = Window::new(end(message.angle_min)?..=end(message.angle_max)?).ok()?;
+    window.with_cluster_count(cluster(message)?).ok()
+}
+
+fn cluster(message: &LaserScan) -> Option<u8> {
+    whole(f64::from(message.angle_increment) / STEP, 1..=99)?.try_into().ok()
+}
+
+fn step(angle: f32) -> f64 {
+    f64::from(angle) / STEP + FRONT
+}
+
+fn whole(number: f64, range: RangeInclusive<u16>) -> Option<u16> {
+    // The cast turns NaN into 0, and other numbers into the nearest one.
+    let whole = number.round() as u16;
+    (range.contains(&whole) && (f64::from(whole) - number).abs() <= 0.5).then_some(whole)
 }
 
 /// Value that a sensor sends for a range.
 fn value(range: f32) -> u32 {
-    if range.is_infinite() {
-        return BEYOND_RANGE;
-    }
-    // The cast turns NaN and negative numbers into 0.
-    let value = (f64::from(range) * 1000.0).round() as u32;
-    match Geometry::URG_04LX.measurement(value) {
-        Measurement::Distance(distance) if distance == value => value,
+    let millimetres = (f64::from(range) * 1000.0).round();
+    match millimetres {
+        f64::INFINITY => BEYOND_RANGE,
+        // `urg_node` writes error codes as distances of 1 to 19 mm.
+        1.0..=4095.0 => millimetres as u32,
+        4096.0..=5600.0 => BEYOND_RANGE,
+        5601.0.. => FAR,
         _ => UNKNOWN,
     }
 }
@@ -87,6 +124,7 @@ fn value(range: f32) -> u32 {
 mod tests {
     use super::*;
     use crate::ros;
+    use tokio_scip::Geometry;
 
     #[test]
     fn error_codes_become_two_and_distances_are_exact() {
@@ -96,17 +134,44 @@ mod tests {
         for sent in 20..4095 {
             assert_eq!(value(Geometry::URG_04LX.measurement(sent).range()), sent);
         }
-        for range in [-1.0, 0.0, 5.0, 1e30, f32::NEG_INFINITY] {
-            assert!(value(range) < 20, "{range}");
+    }
+
+    #[test]
+    fn foreign_ranges_keep_their_meaning() {
+        for (range, expected) in [
+            // Too near, or no number that a range can have.
+            (f32::NEG_INFINITY, 19),
+            (f32::NAN, 19),
+            (-1.0, 19),
+            (0.0, 19),
+            (0.0004, 19),
+            // Error codes of `urg_node`.
+            (0.001, 1),
+            (0.006, 6),
+            (0.019, 19),
+            (0.02, 20),
+            (4.095, 4095),
+            // A URG-04LX in SCIP 2, and other URGs.
+            (4.096, 16),
+            (5.6, 16),
+            (5.601, 0),
+            (1e30, 0),
+            (f32::INFINITY, 16),
+        ] {
+            assert_eq!(value(range), expected, "{range}");
         }
+    }
+
+    fn message(window: Window) -> LaserScan {
+        let scan = Scan::builder(window, vec![500; window.points()]).build().unwrap();
+        let mut bytes = Vec::new();
+        ros::write_scan(&mut bytes, &scan, scan.first_ray_stamp(), "laser");
+        ros::read_scan(&bytes).unwrap()
     }
 
     #[test]
     fn a_message_of_another_laser_scanner_is_none_of_ours() {
-        let scan = Scan::builder(Window::DETECTION, vec![500; 682]).build().unwrap();
-        let mut bytes = Vec::new();
-        ros::write_scan(&mut bytes, &scan, scan.first_ray_stamp(), "laser");
-        let ours = ros::read_scan(&bytes).unwrap();
+        let ours = message(Window::DETECTION);
         for other in [
             LaserScan { angle_increment: 0.0044, ..ours.clone() },
             LaserScan { angle_increment: -ours.angle_increment, ..ours.clone() },
@@ -118,5 +183,39 @@ mod tests {
         ] {
             assert_eq!(MessageScan::from_message(&other, None), None);
         }
+    }
+
+    #[test]
+    fn clusters_of_urg_node_are_read() {
+        for cluster in 1..=99 {
+            let window = Window::DETECTION.with_cluster_count(cluster).unwrap();
+            let angle = |step: u16| ((f64::from(step) - FRONT) * STEP) as f32;
+            let (angle_min, angle_max) = (angle(44), angle(725));
+            let theirs = LaserScan { angle_min, angle_max, ..message(window) };
+            let read = MessageScan::from_message(&theirs, None).unwrap();
+            assert_eq!(read.window.points(), window.points());
+            // With one step in the last cluster, the angles may also be the middles of clusters.
+            let is_both = cluster % 2 == 1 && window.steps() % usize::from(cluster) == 1;
+            assert!(read.window == window || is_both, "{cluster}: {}", read.window);
+            assert_eq!(MessageScan::from_message(&theirs, [window]).unwrap().window, window);
+        }
+    }
+
+    #[test]
+    fn an_implausible_revolution_is_unknown() {
+        let ours = message(Window::DETECTION);
+        let read = |scan_time| {
+            let message = LaserScan { scan_time, ..ours.clone() };
+            let read = MessageScan::from_message(&message, None).unwrap();
+            (read.scan_time, read.stamp)
+        };
+        let nominal = read(0.1).1;
+        for scan_time in [0.0, -0.1, 100.0, 1e8, f32::NAN, f32::INFINITY, f32::MAX] {
+            assert_eq!(read(scan_time).0, None, "{scan_time}");
+            let stamp = read(scan_time).1;
+            let error = stamp.duration_since(nominal).unwrap_or_else(|error| error.duration());
+            assert!(error < Duration::from_micros(1), "{scan_time}: {error:?}");
+        }
+        assert_eq!(read(0.025).0, Some(Duration::from_secs_f32(0.025)));
     }
 }

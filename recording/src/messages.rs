@@ -103,10 +103,10 @@ fn own_topic(channel: u16, content: &[u8]) -> Option<Topic> {
 
 fn parse_entry(topic: Topic, stamp: SystemTime, data: &[u8]) -> Option<Entry> {
     Some(match topic {
-        Topic::Scans => Entry::Scan(ros::read_scan(data)?),
-        Topic::Events => Entry::Event(Event::from(ros::read_text(data)?)),
+        Topic::Scans => Entry::Scan(ros::read_scan(data).ok()?),
+        Topic::Events => Entry::Event(Event::from(ros::read_text(data).ok()?)),
         Topic::Replies => {
-            let (command, bytes) = ros::read_labelled_bytes(data)?;
+            let (command, bytes) = ros::read_labelled_bytes(data).ok()?;
             let (command, bytes) = (parse_command(command), bytes.to_vec());
             Entry::Reply(RecordedReply { command, bytes, stamp })
         }

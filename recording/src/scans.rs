@@ -20,7 +20,9 @@ impl Recording {
     ///
     /// Scans whose reply was not recorded are made of the `/scan` messages, also of ones that
     /// another program recorded, if their directions are steps of a URG. Distances are the
-    /// recorded ones. Messages have no error codes: a value is 16 for `+Inf` and 19 for `NaN`.
+    /// recorded ones. Messages have no error codes: a value is 16 for `+Inf`, and 19 for `NaN` and
+    /// `-Inf`. It is 16 for distances above 4.095 m, and 0 above 5.6 m: both are beyond the range.
+    /// Ranges of 0.001 to 0.019 m are error codes, as `urg_node` writes them.
     ///
     /// If the file describes several streams, as after [`cut`](super::cut) has joined recordings,
     /// the latest metadata before a scan decides which stream it must belong to. Up to 256 scans

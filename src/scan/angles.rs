@@ -59,7 +59,7 @@ mod tests {
         assert_eq!((scan.angle_min(), scan.angle_max()), (angles[0], angles[768]));
         assert_eq!(scan.angle_increment(), (360.0f64 / 1024.0).to_radians() as f32);
         assert_eq!(scan.time_increment(), Duration::from_nanos(97_656));
-        assert_eq!((scan.range_min(), scan.range_max()), (0.020, 4.094));
+        assert_eq!((scan.range_min(), scan.range_max()), (0.019, 4.095));
         assert_eq!(scan.scan_time(), Duration::from_millis(100));
     }
 

@@ -113,14 +113,16 @@ impl Scan {
         self.measurements().map(Measurement::range)
     }
 
-    /// Shortest measurable range in metres.
+    /// Metres, a millimetre below the shortest distance: AMCL takes a range of exactly `range_min`
+    /// for none.
     pub fn range_min(&self) -> f32 {
-        metres(*self.meta.geometry.distances().start())
+        metres(self.meta.geometry.distances().start().saturating_sub(1))
     }
 
-    /// Longest measurable range in metres.
+    /// Metres, a millimetre above the longest distance: `laser_geometry` drops a range of exactly
+    /// `range_max`.
     pub fn range_max(&self) -> f32 {
-        metres(*self.meta.geometry.distances().end())
+        metres(self.meta.geometry.distances().end().saturating_add(1))
     }
 
     /// Number of this scan in its schedule, from 0. A gap means that your consumer was too

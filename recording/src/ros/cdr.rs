@@ -1,5 +1,6 @@
 //! CDR as ROS 2 uses it: plain CDR (XCDR1), little-endian, after its encapsulation
-//! header. Knows no messages.
+//! header. Reads XCDR2, too, whose layout is the same unless a number has eight bytes. Knows no
+//! messages.
 //!
 //! Written by hand, because a message needs only a dozen primitives. The crates for CDR
 //! bring serde, which needs an owned struct for each message; this encodes a scan in
@@ -71,6 +72,20 @@ impl<'a> CdrWriter<'a> {
     }
 }
 
+/// Why a message cannot be read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum CdrError {
+    /// It ends before its fields do, or a field is malformed.
+    Malformed,
+    /// It is compressed by zstd, as `ros2 bag record --compression-mode message` does.
+    Compressed,
+    /// It has another encoding than plain CDR, by the first two bytes.
+    Encoding([u8; 2]),
+}
+
+/// First bytes of what zstd compresses.
+const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
 /// Reads one message, in either byte order and with any options. Each method returns `None` if the
 /// message is too short or malformed.
 #[derive(Debug)]
@@ -81,9 +96,16 @@ pub(super) struct CdrReader<'a> {
 }
 
 impl<'a> CdrReader<'a> {
-    pub(super) fn new(message: &'a [u8]) -> Option<Self> {
-        let [0, order @ (0 | 1), _, _] = message.first_chunk()? else { return None };
-        Some(Self { message, at: HEADER.len(), is_big_endian: *order == 0 })
+    /// Starts after the header of XCDR1 (`00 00`, `00 01`) or of XCDR2 (`00 06`, `00 07`).
+    pub(super) fn new(message: &'a [u8]) -> Result<Self, CdrError> {
+        match message.first_chunk() {
+            None => Err(CdrError::Malformed),
+            Some(&ZSTD) => Err(CdrError::Compressed),
+            Some([0, kind @ (0 | 1 | 6 | 7), _, _]) => {
+                Ok(Self { message, at: HEADER.len(), is_big_endian: kind % 2 == 0 })
+            }
+            Some([first, second, _, _]) => Err(CdrError::Encoding([*first, *second])),
+        }
     }
 
     pub(super) fn i32(&mut self) -> Option<i32> {
@@ -99,8 +121,14 @@ impl<'a> CdrReader<'a> {
     }
 
     pub(super) fn string(&mut self) -> Option<&'a str> {
-        let (_, text) = self.bytes()?.split_last()?;
-        std::str::from_utf8(text).ok()
+        std::str::from_utf8(self.text()?).ok()
+    }
+
+    /// Reads a string in any character set, without its NUL. Some programs write an empty string
+    /// without one.
+    pub(super) fn text(&mut self) -> Option<&'a [u8]> {
+        let bytes = self.bytes()?;
+        Some(bytes.strip_suffix(&[0]).unwrap_or(bytes))
     }
 
     pub(super) fn bytes(&mut self) -> Option<&'a [u8]> {
@@ -153,7 +181,7 @@ mod tests {
         cdr.f32(1.0);
         cdr.f32(2.0);
         for length in 0..out.len() {
-            let read = CdrReader::new(&out[..length]).and_then(|mut cdr| cdr.f32s());
+            let read = CdrReader::new(&out[..length]).ok().and_then(|mut cdr| cdr.f32s());
             assert_eq!(read, None, "{length} bytes");
         }
         assert_eq!(CdrReader::new(&out).unwrap().f32s(), Some(vec![1.0, 2.0]));

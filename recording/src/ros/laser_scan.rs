@@ -2,7 +2,7 @@
 
 use std::time::{Duration, SystemTime};
 
-use super::cdr::{CdrReader, CdrWriter};
+use super::cdr::{CdrError, CdrReader, CdrWriter};
 use super::{MessageType, write_header};
 use tokio_scip::Scan;
 
@@ -45,9 +45,9 @@ pub struct LaserScan {
     pub time_increment: f32,
     /// Time of one revolution of the motor.
     pub scan_time: f32,
-    /// Shortest measurable range.
+    /// Limit of the valid ranges. Of a URG, [below](Scan::range_min) the shortest distance.
     pub range_min: f32,
-    /// Longest measurable range.
+    /// Limit of the valid ranges. Of a URG, [above](Scan::range_max) the longest distance.
     pub range_max: f32,
     /// Ranges as REP 117 defines them: not finite for a direction without a distance.
     pub ranges: Vec<f32>,
@@ -81,16 +81,19 @@ pub fn write_scan(out: &mut Vec<u8>, scan: &Scan, stamp: SystemTime, frame_id: &
     cdr.length(0);
 }
 
-/// Decodes a scan, or returns `None` if `message` is malformed.
-pub(crate) fn read_scan(message: &[u8]) -> Option<LaserScan> {
-    let mut cdr = CdrReader::new(message)?;
+/// Decodes a scan.
+pub(crate) fn read_scan(message: &[u8]) -> Result<LaserScan, CdrError> {
+    read_fields(CdrReader::new(message)?).ok_or(CdrError::Malformed)
+}
+
+fn read_fields(mut cdr: CdrReader<'_>) -> Option<LaserScan> {
     let (seconds, nanos) = (cdr.i32()?, cdr.u32()?);
     let whole = Duration::from_secs(seconds.unsigned_abs().into());
     let epoch = SystemTime::UNIX_EPOCH;
     let second = if seconds < 0 { epoch.checked_sub(whole) } else { epoch.checked_add(whole) };
     Some(LaserScan {
         stamp: second?.checked_add(Duration::from_nanos(nanos.into()))?,
-        frame_id: cdr.string()?.to_owned(),
+        frame_id: String::from_utf8_lossy(cdr.text()?).into_owned(),
         angle_min: cdr.f32()?,
         angle_max: cdr.f32()?,
         angle_increment: cdr.f32()?,

@@ -52,6 +52,7 @@ pub use self::diagnostics::{DiagnosticLevel, DiagnosticStatus, write_diagnostics
 pub use self::laser_scan::{LaserScan, write_scan};
 pub use self::transform::{Transform, write_transforms};
 pub(crate) use self::{
+    cdr::CdrError,
     laser_scan::read_scan,
     std_msgs::{read_labelled_bytes, read_text, write_labelled_bytes, write_text},
     transform::child_frames,

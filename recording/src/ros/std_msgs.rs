@@ -1,7 +1,7 @@
 //! Messages of `std_msgs`: bytes with a label, and a text.
 
 use super::MessageType;
-use super::cdr::{CdrReader, CdrWriter};
+use super::cdr::{CdrError, CdrReader, CdrWriter};
 
 /// Carries a sensor's reply. Our own message type would be plainer, but `ros2 bag play`
 /// needs each type installed. The label of the only dimension is the answered command.
@@ -42,9 +42,12 @@ pub(crate) fn write_labelled_bytes(out: &mut Vec<u8>, label: &str, parts: &[&[u8
     cdr.bytes(parts);
 }
 
-/// Decodes the label and the bytes, or returns `None` if `message` is malformed.
-pub(crate) fn read_labelled_bytes(message: &[u8]) -> Option<(&str, &[u8])> {
-    let mut cdr = CdrReader::new(message)?;
+/// Decodes the label and the bytes.
+pub(crate) fn read_labelled_bytes(message: &[u8]) -> Result<(&str, &[u8]), CdrError> {
+    read_fields(CdrReader::new(message)?).ok_or(CdrError::Malformed)
+}
+
+fn read_fields(mut cdr: CdrReader<'_>) -> Option<(&str, &[u8])> {
     if cdr.u32()? != 1 {
         return None;
     }
@@ -57,7 +60,7 @@ pub(crate) fn write_text(out: &mut Vec<u8>, text: &str) {
     CdrWriter::new(out).string(text);
 }
 
-/// Decodes the text, or returns `None` if `message` is malformed.
-pub(crate) fn read_text(message: &[u8]) -> Option<&str> {
-    CdrReader::new(message)?.string()
+/// Decodes the text.
+pub(crate) fn read_text(message: &[u8]) -> Result<&str, CdrError> {
+    CdrReader::new(message)?.string().ok_or(CdrError::Malformed)
 }

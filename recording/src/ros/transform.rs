@@ -65,7 +65,7 @@ impl Transform {
 
 /// Returns the frames that a `tf2_msgs/msg/TFMessage` places, or `None` if it is malformed.
 pub(crate) fn child_frames(message: &[u8]) -> Option<Vec<&str>> {
-    let mut cdr = CdrReader::new(message)?;
+    let mut cdr = CdrReader::new(message).ok()?;
     let mut frames = Vec::new();
     for _ in 0..cdr.u32()? {
         let (_seconds, _nanoseconds, _parent) = (cdr.i32()?, cdr.u32()?, cdr.string()?);

@@ -105,7 +105,9 @@ pub(super) fn bag(random: &mut Random) -> Bag {
 fn laser_scan(random: &mut Random) -> Vec<u8> {
     let is_big = random.once_in(4);
     let options = random.below(4) as u8 * u8::from(random.once_in(4));
-    let mut out = vec![0, u8::from(!is_big), 0, options];
+    // XCDR2 has the same layout.
+    let kind = u8::from(!is_big) + 6 * u8::from(random.once_in(4));
+    let mut out = vec![0, kind, 0, options];
     let mut put = |bytes: [u8; 4]| {
         out.extend(match is_big {
             true => bytes.into_iter().rev().collect::<Vec<_>>(),
@@ -168,10 +170,12 @@ pub(super) fn letters(data: &[u8]) -> Vec<String> {
 /// Returns true if the message has the form of [`laser_scan`], compressed ones excepted.
 pub(super) fn is_readable(data: &[u8]) -> bool {
     // The sequences decide: the ranges, and no intensities.
-    let Some(([0, order @ (0 | 1), 0, _], rest)) = data.split_first_chunk() else { return false };
+    let Some(([0, order @ (0 | 1 | 6 | 7), 0, _], rest)) = data.split_first_chunk() else {
+        return false;
+    };
     let number = |at: usize| {
         let bytes: [u8; 4] = rest.get(at..at + 4)?.try_into().ok()?;
-        Some(if *order == 1 { u32::from_le_bytes(bytes) } else { u32::from_be_bytes(bytes) }
+        Some(if order % 2 == 1 { u32::from_le_bytes(bytes) } else { u32::from_be_bytes(bytes) }
             as usize)
     };
     let length = |at: usize| Some(at + 4 + number(at)?);
