@@ -275,7 +275,7 @@ impl<W: Write> Copy<W> {
         }
         let Some(content) = source.message.take() else { return Ok(()) };
         let Some((mut header, data)) = MessageHeader::parse(&content) else { return Ok(()) };
-        let record = source.messages.parse(&content);
+        let record = source.messages.parse(&content).and_then(Result::ok);
         let record = record.filter(|record| record.topic.is_none());
         if let Some(record) = &record {
             self.range.see(record);

@@ -4,6 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::left_out::{LeftOut, listed};
 use super::mcap::FileError;
 use super::output::FileGone;
 
@@ -106,10 +107,13 @@ pub enum RecordingError {
     },
     /// The recording has neither replies to polls nor `/scan` messages of a URG.
     #[error(
-        "no scan in this recording: expected replies of a sensor, or messages of a URG on the topic /scan{}",
+        "no scan in this recording: expected replies of a sensor, or messages of a URG on the topic /scan{}{}",
+        listed(left_out),
         others(topics)
     )]
     NoScans {
+        /// Messages that were read and are no scan.
+        left_out: Vec<LeftOut>,
         /// Other topics with laser scans, at most 16: [`Recording::topic`](super::Recording::topic)
         /// reads them.
         topics: Vec<String>,

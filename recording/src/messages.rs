@@ -1,24 +1,36 @@
 //! [`Messages`]: what the messages of a file mean. Knows the topic of each channel.
 
 use std::collections::HashMap;
+use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
+use super::left_out::LeftOutReason;
 use super::mcap::{self, Fields, MessageHeader, kind};
 use super::record::{Entry, Record, RecordedReply, parse_command};
 use super::topics::Topic;
 use crate::event::Event;
-use crate::ros;
+use crate::ros::{self, CdrError};
 
+/// Scan of ROS 1, which in ROS 2 has another name and encoding.
+const ROS1_SCAN: &[u8] = b"sensor_msgs/LaserScan";
 /// Longest name of a topic of ROS 2.
 const MAX_NAME_BYTES: usize = 255;
 
 /// Message types and channels defined up to a position in a file.
 #[derive(Debug, Default)]
 pub(super) struct Messages {
-    /// Name of each message type, if recordings use it.
-    types: HashMap<u16, Option<&'static str>>,
+    types: HashMap<u16, Type>,
     channels: HashMap<u16, Channel>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Type {
+    /// Name of a type that recordings use.
+    Known(&'static str),
+    /// Scan of ROS 1.
+    Ros1Scan,
+    Other,
 }
 
 #[derive(Debug)]
@@ -26,8 +38,30 @@ struct Channel {
     schema: u16,
     /// `None` if recordings do not have the topic.
     topic: Option<Topic>,
-    /// Name of the topic if its messages are CDR, else empty.
+    /// Name of the topic, or empty if it is none of ROS.
     name: Arc<str>,
+    /// Encoding of its messages.
+    encoding: Box<[u8]>,
+}
+
+/// Message that cannot be read.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Unread {
+    pub(super) at: SystemTime,
+    /// As in [`Record`].
+    pub(super) topic: Option<Arc<str>>,
+    pub(super) name: Arc<str>,
+    pub(super) reason: LeftOutReason,
+    pub(super) details: Details,
+}
+
+/// What is not right with a message, beside its topic.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum Details {
+    Bytes(usize),
+    Header([u8; 2]),
+    Encoding(Box<[u8]>),
+    Nothing,
 }
 
 impl Messages {
@@ -44,7 +78,9 @@ impl Messages {
         let mut fields = Fields(content);
         let (id, name) = (fields.u16()?, fields.bytes()?);
         let known = Topic::ALL.map(|topic| topic.message_type().name());
-        self.types.insert(id, known.into_iter().find(|known| known.as_bytes() == name));
+        let known = known.into_iter().find(|known| known.as_bytes() == name);
+        let other = if name == ROS1_SCAN { Type::Ros1Scan } else { Type::Other };
+        self.types.insert(id, known.map_or(other, Type::Known));
         Some(())
     }
 
@@ -52,37 +88,71 @@ impl Messages {
         let mut fields = Fields(content);
         let (id, schema) = (fields.u16()?, fields.u16()?);
         let (name, encoding) = (fields.string()?, fields.bytes()?);
-        // Other names and encodings are not of ROS.
-        let name = Some(name).filter(|name| name.len() <= MAX_NAME_BYTES && encoding == b"cdr");
-        let topic = Topic::ALL.into_iter().find(|topic| Some(topic.name()) == name);
-        self.channels.insert(id, Channel { schema, topic, name: name.unwrap_or_default().into() });
+        // Other names are not of ROS.
+        let name = Some(name).filter(|name| name.len() <= MAX_NAME_BYTES).unwrap_or_default();
+        let topic = Topic::ALL.into_iter().find(|topic| topic.name() == name);
+        let encoding = encoding.get(..MAX_NAME_BYTES).unwrap_or(encoding).into();
+        self.channels.insert(id, Channel { schema, topic, name: name.into(), encoding });
         Some(())
     }
 
-    /// Returns the topic of a channel, or `None` if recordings do not have it. Scans may be on any
-    /// topic. The types are looked up for each message, since a damaged file may define one again:
-    /// then it makes no difference whether a channel is repeated.
-    fn topic(&self, channel: &Channel) -> Option<Topic> {
-        let kind = self.types.get(&channel.schema);
-        let is_a = |topic: &Topic| kind == Some(&Some(topic.message_type().name()));
-        match channel.topic {
+    /// Returns the topic of a channel, or why its messages cannot be read. Scans may be on any topic.
+    /// The types are looked up for each message, since a damaged file may define one again: then it
+    /// makes no difference whether a channel is repeated.
+    fn topic(&self, channel: &Channel) -> Result<Topic, (LeftOutReason, Details)> {
+        let kind = self.types.get(&channel.schema).copied();
+        let is_a = |topic: &Topic| kind == Some(Type::Known(topic.message_type().name()));
+        let is_ros1 = kind == Some(Type::Ros1Scan)
+            || channel.topic.is_some() && &*channel.encoding == b"ros1";
+        let topic = match channel.topic {
             // Without a type, or if it was lost with a damaged part, assume the topic's own.
             Some(topic) => Some(topic).filter(|topic| kind.is_none() || is_a(topic)),
-            None if channel.name.is_empty() => None,
             None => Some(Topic::Scans).filter(is_a),
+        };
+        match topic {
+            _ if is_ros1 => Err((LeftOutReason::Ros1, Details::Nothing)),
+            None => Err((LeftOutReason::OtherType, Details::Nothing)),
+            Some(_) if &*channel.encoding != b"cdr" => {
+                let details = Details::Encoding(channel.encoding.clone());
+                Err((LeftOutReason::OtherEncoding, details))
+            }
+            Some(topic) => Ok(topic),
         }
     }
 
-    /// Parses the content of a message. Returns `None` for a topic that recordings do not
-    /// have, and for a message in another form, such as a compressed one.
-    pub(super) fn parse(&self, content: &[u8]) -> Option<Record> {
+    /// Parses the content of a message. Returns `None` if its topic has no name, or if the file's
+    /// reader reports it as damaged.
+    pub(super) fn parse(&self, content: &[u8]) -> Option<Result<Record, Unread>> {
         let (header, data) = MessageHeader::parse(content)?;
-        let channel = self.channels.get(&header.channel)?;
+        let channel = self.channels.get(&header.channel).filter(|one| !one.name.is_empty())?;
         let (at, stamp) = (time(header.log_time), time(header.publish_time));
         let (sequence, topic) = (header.sequence, channel.topic.is_none());
         let topic = topic.then(|| Arc::clone(&channel.name));
-        let entry = parse_entry(self.topic(channel)?, stamp, data)?;
-        Some(Record { at, stamp, topic, sequence, entry })
+        let entry = self.topic(channel).and_then(|topic| {
+            parse_entry(topic, stamp, data).map_err(|error| match error {
+                CdrError::Malformed => (LeftOutReason::Malformed, Details::Bytes(data.len())),
+                CdrError::Compressed => (LeftOutReason::Compressed, Details::Nothing),
+                CdrError::Encoding(found) => (LeftOutReason::OtherEncoding, Details::Header(found)),
+            })
+        });
+        Some(match entry {
+            Ok(entry) => Ok(Record { at, stamp, topic, sequence, entry }),
+            Err((reason, details)) => {
+                let name = Arc::clone(&channel.name);
+                Err(Unread { at, topic, name, reason, details })
+            }
+        })
+    }
+}
+
+impl fmt::Display for Details {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Bytes(bytes) => write!(f, ", {bytes} bytes"),
+            Self::Header([first, second]) => write!(f, ", CDR header {first:02x} {second:02x}"),
+            Self::Encoding(encoding) => write!(f, ", {}", encoding.escape_ascii()),
+            Self::Nothing => Ok(()),
+        }
     }
 }
 
@@ -101,12 +171,12 @@ fn own_topic(channel: u16, content: &[u8]) -> Option<Topic> {
     Topic::ALL.into_iter().find(own)
 }
 
-fn parse_entry(topic: Topic, stamp: SystemTime, data: &[u8]) -> Option<Entry> {
-    Some(match topic {
-        Topic::Scans => Entry::Scan(ros::read_scan(data).ok()?),
-        Topic::Events => Entry::Event(Event::from(ros::read_text(data).ok()?)),
+fn parse_entry(topic: Topic, stamp: SystemTime, data: &[u8]) -> Result<Entry, CdrError> {
+    Ok(match topic {
+        Topic::Scans => Entry::Scan(ros::read_scan(data)?),
+        Topic::Events => Entry::Event(Event::from(ros::read_text(data)?)),
         Topic::Replies => {
-            let (command, bytes) = ros::read_labelled_bytes(data).ok()?;
+            let (command, bytes) = ros::read_labelled_bytes(data)?;
             let (command, bytes) = (parse_command(command), bytes.to_vec());
             Entry::Reply(RecordedReply { command, bytes, stamp })
         }

@@ -1,15 +1,18 @@
 //! [`Polls`]: the recorded replies to polls, and the `/scan` messages whose reply was not recorded. A
 //! replay sends them and [`Recording::scans`] decodes them, so both have the same scans.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
+use std::fmt;
 use std::time::{Duration, SystemTime};
 
 use super::event::Event;
 use super::from_ros::MessageScan;
 use super::identity::{parse_version, version_frame};
+use super::left_out::{LeftOutCounter, LeftOutReason};
 use super::reader::Item;
 use super::record::{Entry, Record, RecordedReply};
 use super::{Recording, RecordingError};
+use crate::ros::LaserScan;
 use tokio_scip::protocol::{Command, Reply};
 use tokio_scip::{Version, Window};
 
@@ -19,6 +22,10 @@ const WINDOW_SEARCH_POLLS: usize = 256;
 const WINDOW_SEARCH_BYTES: usize = 1 << 20;
 /// Number of replies whose scans may still follow, from a consumer that is behind.
 const MAX_STAMPS: usize = 1 << 16;
+/// Number of descriptions whose streams may still begin.
+const MAX_STREAMS: usize = 16;
+/// Number of sources to name.
+const MAX_SOURCES: usize = 16;
 
 /// Answer to a poll.
 #[derive(Debug)]
@@ -42,6 +49,8 @@ pub(super) enum Answer {
     Reply(RecordedReply),
     /// Values of a `/scan` message.
     Values(Vec<u32>),
+    /// A `/scan` message made of a reply that was recorded.
+    Repeated,
 }
 
 impl Answer {
@@ -50,6 +59,7 @@ impl Answer {
         match self {
             Self::Reply(reply) => reply.values(),
             Self::Values(values) => Some(values.clone()),
+            Self::Repeated => None,
         }
     }
 }
@@ -70,19 +80,34 @@ impl PollReply {
 /// Finds the polls among the records of a file, and the stream that they belong to.
 #[derive(Debug, Default)]
 pub(super) struct StreamPolls {
-    /// Window of the stream: from the latest metadata, or else from the first polls.
-    window: Option<Window>,
-    /// Stamps of the latest replies to polls.
-    stamps: VecDeque<SystemTime>,
+    /// Windows of the current stream and of those that were described since and have not begun: a
+    /// stream begins with its first poll. Without a description, from the first polls.
+    streams: VecDeque<Window>,
+    is_described: bool,
+    /// Frames of the scans.
+    pub(super) frame_ids: BTreeSet<String>,
+    left_out: LeftOutCounter,
+    /// Stamps and windows of the latest replies to polls.
+    stamps: VecDeque<(SystemTime, Window)>,
     /// Polls that wait to be returned, and the bytes of their replies.
     waiting: VecDeque<PollReply>,
     waiting_bytes: usize,
 }
 
 impl StreamPolls {
-    /// The records that follow belong to a stream of this window.
+    fn new(left_out: LeftOutCounter) -> Self {
+        Self { left_out, ..Self::default() }
+    }
+
+    /// The records that follow belong to a stream of this window, once one of its polls follows.
     pub(super) fn describe(&mut self, window: Option<Window>) {
-        self.window = window.or(self.window);
+        let Some(window) = window else { return };
+        self.is_described = true;
+        self.streams.retain(|known| *known != window);
+        if self.streams.len() == MAX_STREAMS {
+            self.streams.pop_front();
+        }
+        self.streams.push_back(window);
     }
 
     /// Takes the next record of the file.
@@ -96,16 +121,28 @@ impl StreamPolls {
                 if self.stamps.len() >= MAX_STAMPS {
                     self.stamps.pop_front();
                 }
-                self.stamps.push_back(stamp);
+                self.stamps.push_back((stamp, asked));
                 self.waiting_bytes += reply.bytes.len();
                 poll(asked, Answer::Reply(reply))
             }
-            // The driver delivers the stamp of the reply.
-            Entry::Scan(_) if self.stamps.iter().rev().any(|known| *known == stamp) => return,
             Entry::Scan(message) => {
-                let Some(scan) = MessageScan::from_message(&message, self.window) else { return };
-                let MessageScan { window, values, stamp, scan_time } = scan;
-                PollReply { stamp, scan_time, ..poll(window, Answer::Values(values)) }
+                if self.frame_ids.len() < MAX_SOURCES && !self.frame_ids.contains(&message.frame_id)
+                {
+                    self.frame_ids.insert(message.frame_id.clone());
+                }
+                // The driver delivers the stamp of the reply.
+                let reply = self.stamps.iter().rev().find(|(known, _)| *known == stamp);
+                if let Some((_, asked)) = reply {
+                    poll(*asked, Answer::Repeated)
+                } else {
+                    let known = self.streams.iter().rev().copied();
+                    let Some(scan) = MessageScan::from_message(&message, known) else {
+                        self.left_out.add(LeftOutReason::OtherLaser, Directions(&message));
+                        return;
+                    };
+                    let MessageScan { window, values, stamp, scan_time } = scan;
+                    PollReply { stamp, scan_time, ..poll(window, Answer::Values(values)) }
+                }
             }
             Entry::Event(_) => return,
         };
@@ -115,7 +152,7 @@ impl StreamPolls {
     /// Returns the next poll, once the window of the stream is known, or `is_end` is true because no
     /// record follows.
     pub(super) fn next(&mut self, is_end: bool) -> Option<PollReply> {
-        if self.window.is_none() {
+        if self.streams.is_empty() {
             let is_enough = self.waiting.len() >= WINDOW_SEARCH_POLLS
                 || self.waiting_bytes >= WINDOW_SEARCH_BYTES;
             if !is_end && !is_enough {
@@ -123,9 +160,38 @@ impl StreamPolls {
             }
             self.find_window();
         }
-        let mut poll = self.waiting.pop_front()?;
-        poll.window = self.window.filter(|window| window.is_polled_as(poll.asked));
-        Some(poll)
+        loop {
+            let mut poll = self.waiting.pop_front()?;
+            poll.window = self.stream_of(&poll);
+            let reason = match poll.answer {
+                _ if poll.window.is_some() => None,
+                Answer::Reply(_) => Some(LeftOutReason::OtherRequest),
+                _ => Some(LeftOutReason::OtherWindow),
+            };
+            if let Some(reason) = reason {
+                self.left_out.add(reason, poll.asked);
+            }
+            if !matches!(poll.answer, Answer::Repeated) {
+                return Some(poll);
+            }
+        }
+    }
+
+    /// Returns the window of the stream that a poll belongs to. The latest description counts.
+    fn stream_of(&mut self, poll: &PollReply) -> Option<Window> {
+        let is_message = matches!(poll.answer, Answer::Values(_));
+        let is_poll_of = |window: &Window| match is_message {
+            true => is_same_but_for_end(window, poll.asked),
+            false => window.is_polled_as(poll.asked),
+        };
+        match self.streams.iter().rposition(is_poll_of) {
+            Some(place) => {
+                self.streams.drain(..place);
+                self.streams.front().copied()
+            }
+            // Of messages alone all belong together.
+            None => Some(poll.asked).filter(|_| is_message && !self.is_described),
+        }
     }
 
     /// Finds the window of the stream to which the first poll belongs. The first polls may be
@@ -135,7 +201,26 @@ impl StreamPolls {
         let mut asked = self.waiting.iter().map(|poll| poll.asked);
         let Some(first) = asked.next() else { return };
         let narrower = asked.filter(|asked| asked.is_polled_as(first));
-        self.window = narrower.chain([first]).min_by_key(Window::steps);
+        self.streams.extend(narrower.chain([first]).min_by_key(Window::steps));
+    }
+}
+
+/// Returns true if both have the same points. A message does not tell how many steps its last one
+/// has.
+fn is_same_but_for_end(window: &Window, other: Window) -> bool {
+    let points = |window: &Window| (window.start(), window.cluster_count(), window.points());
+    points(window) == points(&other)
+}
+
+/// Directions of a message, in words.
+struct Directions<'a>(&'a LaserScan);
+
+impl fmt::Display for Directions<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let LaserScan { angle_min, angle_max, angle_increment, ranges, .. } = self.0;
+        let [from, to, by] =
+            [angle_min, angle_max, angle_increment].map(|angle| angle.to_degrees());
+        write!(f, "{} points from {from:.2}° to {to:.2}° every {by:.3}°", ranges.len())
     }
 }
 
@@ -149,6 +234,7 @@ pub(super) struct Polls {
     pub(super) revolution: Option<Duration>,
     /// Number of polls without a scan, by the recorded events.
     pub(super) failed_polls: u64,
+    pub(super) serial_numbers: BTreeSet<String>,
     is_over: bool,
 }
 
@@ -156,8 +242,21 @@ impl Polls {
     pub(super) fn new(recording: Recording) -> Self {
         let version = parse_version(&version_frame(recording.metadata()));
         let revolution = version.as_ref().and_then(revolution);
-        let (stream, version) = (StreamPolls::default(), None);
-        Self { recording, stream, version, revolution, failed_polls: 0, is_over: false }
+        let stream = StreamPolls::new(recording.left_out.clone());
+        let (version, failed_polls, serial_numbers) = (None, 0, BTreeSet::new());
+        let is_over = false;
+        Self { recording, stream, version, revolution, failed_polls, serial_numbers, is_over }
+    }
+
+    /// Frames of the scans read so far.
+    pub(super) fn frame_ids(&self) -> &BTreeSet<String> {
+        &self.stream.frame_ids
+    }
+
+    fn add_serial_number(&mut self, number: String) {
+        if self.serial_numbers.len() < MAX_SOURCES && !number.is_empty() {
+            self.serial_numbers.insert(number);
+        }
     }
 
     /// Reply to `V` without its terminator: the first one that was read, or else what the metadata
@@ -174,6 +273,9 @@ impl Polls {
         {
             let version = reply.parse().map(|reply| Version::from_reply(&reply));
             self.revolution = version.as_ref().and_then(revolution).or(self.revolution);
+            if let Some(version) = &version {
+                self.add_serial_number(version.serial_number.to_string());
+            }
             if version.is_some() && self.version.is_none() {
                 self.version = Some(reply.clone());
             }
@@ -192,7 +294,12 @@ impl Iterator for Polls {
             }
             match self.recording.next_item() {
                 Some(Ok(Item::Record(record))) => self.add(record),
-                Some(Ok(Item::Description(window))) => self.stream.describe(window),
+                Some(Ok(Item::Description(window))) => {
+                    let number = self.recording.metadata().get("serial_number").cloned();
+                    self.add_serial_number(number.unwrap_or_default());
+                    self.stream.describe(window);
+                }
+                Some(Ok(Item::Unread(_))) => {}
                 Some(Err(error)) => return Some(Err(error)),
                 None if self.is_over => return None,
                 None => self.is_over = true,

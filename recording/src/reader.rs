@@ -8,13 +8,14 @@ use std::io::Read;
 use std::ops::{RangeBounds, RangeInclusive};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use super::folder::recording_files;
+use super::left_out::{LeftOutCounter, LeftOutReason};
 use super::mcap::{Input, Records, kind, parse_metadata};
-use super::messages::Messages;
+use super::messages::{Messages, Unread};
 use super::range::TimeRange;
-use super::record::Record;
+use super::record::{Entry, Record};
 use super::topics::Topic;
 use super::{METADATA, RecordingError};
 use tokio_scip::{Rate, Window};
@@ -67,6 +68,7 @@ pub struct Recording {
     topic: Option<Arc<str>>,
     /// Other topics with laser scans.
     other_topics: BTreeSet<Arc<str>>,
+    pub(super) left_out: LeftOutCounter,
 }
 
 impl Recording {
@@ -108,15 +110,21 @@ impl Recording {
             times: None,
             topic: None,
             other_topics: BTreeSet::new(),
+            left_out: LeftOutCounter::default(),
         };
+        let mut found = 0;
         while recording.metadata.is_empty()
-            && recording.ahead.len() < METADATA_SEARCH_RECORDS
+            && found < METADATA_SEARCH_RECORDS
             && recording.read_bytes < METADATA_SEARCH_BYTES
         {
             match recording.advance() {
                 None => break,
-                Some(Ok(item)) => recording.ahead.extend(item.map(Ok)),
+                Some(Ok(item)) => {
+                    found += usize::from(matches!(item, Some(Item::Record(_))));
+                    recording.ahead.extend(item.map(Ok));
+                }
                 Some(Err(error @ RecordingError::Damaged { .. })) => {
+                    found += 1;
                     recording.ahead.push_back(Err(error));
                 }
                 Some(Err(error)) => return Err(error),
@@ -185,10 +193,57 @@ impl Recording {
         Ok(true)
     }
 
+    /// Counter of the messages that are read and left out: by this iterator, those that cannot be
+    /// read; by [`scans`](Self::scans) and [`replay`](Self::replay) also those that are no scan of
+    /// the stream. Messages outside of the [range](Self::range) are not counted.
+    ///
+    /// ```no_run
+    /// use urg_recording::Recording;
+    ///
+    /// let recording = Recording::open("run.mcap")?;
+    /// let left_out = recording.left_out();
+    /// let scans = recording.scans().filter(|scan| scan.is_ok()).count();
+    /// println!("{scans} scans");
+    /// for count in left_out.counts() {
+    ///     println!("{count}"); // 3 messages cut short or malformed (the first: /scan, 12 bytes)
+    /// }
+    /// # Ok::<(), urg_recording::RecordingError>(())
+    /// ```
+    pub fn left_out(&self) -> LeftOutCounter {
+        self.left_out.clone()
+    }
+
     /// Reports that there was no scan, and on which topics there are others.
     pub(super) fn no_scans(&self) -> RecordingError {
         let topics = self.other_topics.iter().map(|topic| topic.to_string()).collect();
-        RecordingError::NoScans { topics }
+        let mut left_out = self.left_out.counts();
+        // The topics are named.
+        left_out.retain(|count| count.reason != LeftOutReason::OtherTopic);
+        RecordingError::NoScans { left_out, topics }
+    }
+
+    /// Counts a scan on another topic, where `None` is `/scan`.
+    fn count_other_topic(&mut self, topic: Option<Arc<str>>, at: SystemTime) {
+        if self.range.contains(at) {
+            let name = topic.as_deref().unwrap_or(Topic::Scans.name());
+            self.left_out.add(LeftOutReason::OtherTopic, name);
+        }
+        if self.other_topics.len() < MAX_OTHER_TOPICS {
+            self.other_topics.extend(topic);
+        }
+    }
+
+    fn count_unread(&mut self, unread: Unread) {
+        let Unread { at, topic, name, reason, details } = unread;
+        if topic == self.topic {
+            if self.range.contains(at) {
+                self.left_out.add(reason, format_args!("{name}{details}"));
+            }
+        } else if reason != LeftOutReason::OtherType
+            && (topic.is_some() || *name == *Topic::Scans.name())
+        {
+            self.count_other_topic(topic, at);
+        }
     }
 
     /// Reads one record of the file, `Ok(None)` if it is no item of a recording. After an error other
@@ -204,7 +259,10 @@ impl Recording {
         };
         self.read_bytes = self.read_bytes.saturating_add(content.len());
         Some(Ok(match kind {
-            kind::MESSAGE => self.messages.parse(content).map(Item::Record),
+            kind::MESSAGE => self.messages.parse(content).map(|parsed| match parsed {
+                Ok(record) => Item::Record(record),
+                Err(unread) => Item::Unread(unread),
+            }),
             kind::METADATA => parse_sensor_metadata(content).map(|metadata| {
                 self.metadata = metadata;
                 Item::Description(self.window())
@@ -226,18 +284,23 @@ impl Recording {
                     None => continue,
                 },
             };
-            let record = match &item {
+            let record = match item {
                 Ok(Item::Record(record)) => record,
                 Ok(Item::Description(_)) if self.topic.is_some() => continue,
+                Ok(Item::Unread(unread)) => {
+                    self.count_unread(unread);
+                    continue;
+                }
                 _ => return Some(item),
             };
             if record.topic != self.topic {
-                if self.other_topics.len() < MAX_OTHER_TOPICS {
-                    self.other_topics.extend(record.topic.clone());
+                // The replies and events of a recording are no scans.
+                if matches!(record.entry, Entry::Scan(_)) {
+                    self.count_other_topic(record.topic, record.at);
                 }
                 continue;
             }
-            let is_version = self.range.see(record);
+            let is_version = self.range.see(&record);
             let is_inside = is_version || self.range.contains(record.at);
             if let Some(times) = self.range.take_times() {
                 let left_out = self.records.leave_out_others(&times);
@@ -247,7 +310,7 @@ impl Recording {
                 }
             }
             if is_inside {
-                return Some(item);
+                return Some(Ok(Item::Record(record)));
             }
         }
     }
@@ -263,6 +326,8 @@ fn open(path: PathBuf) -> Result<Input, RecordingError> {
 /// Part of a file that is read one by one.
 pub(super) enum Item {
     Record(Record),
+    /// Message that cannot be read. [`Recording::next_item`] counts it.
+    Unread(Unread),
     /// Metadata of a sensor, with the window of its stream.
     Description(Option<Window>),
 }
@@ -288,7 +353,7 @@ impl Iterator for Recording {
         loop {
             match self.next_item()? {
                 Ok(Item::Record(record)) => return Some(Ok(record)),
-                Ok(Item::Description(_)) => {}
+                Ok(Item::Description(_) | Item::Unread(_)) => {}
                 Err(error) => return Some(Err(error)),
             }
         }

@@ -1,12 +1,14 @@
 //! [`Recording::scans`]: the recorded scans as [`Scan`]s, so that one function
 //! serves live and recorded data.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::time::{Duration, SystemTime};
 
 use tokio::time::Instant;
 
 use super::identity::parse_version;
+use super::left_out::{LeftOutCounter, LeftOutReason};
 use super::polls::{PollReply, Polls};
 use super::{Recording, RecordingError};
 use tokio_scip::{Scan, Version};
@@ -25,8 +27,11 @@ impl Recording {
     /// Ranges of 0.001 to 0.019 m are error codes, as `urg_node` writes them.
     ///
     /// If the file describes several streams, as after [`cut`](super::cut) has joined recordings,
-    /// the latest metadata before a scan decides which stream it must belong to. Up to 256 scans
-    /// before the first metadata must belong to the stream that those describe.
+    /// the latest metadata before a scan decides which stream it must belong to, once that stream has
+    /// begun. Up to 256 scans before the first metadata must belong to the stream that those describe.
+    /// Messages without a description and without replies are all scans, whatever their windows.
+    ///
+    /// What is left out is counted: see [`left_out`](RecordedScans::left_out).
     ///
     /// - `values`, `window` and `stamp` are the recorded ones.
     /// - `sequence` numbers the scans from 0.
@@ -61,6 +66,7 @@ impl Recording {
             polls: Polls::new(self),
             sequence: 0,
             position: Duration::ZERO,
+            log_time: SystemTime::UNIX_EPOCH,
             previous: None,
             started: None,
             has_polls: false,
@@ -75,6 +81,7 @@ pub struct RecordedScans {
     /// Number of the next scan.
     sequence: u64,
     position: Duration,
+    log_time: SystemTime,
     /// Values of the previous scan.
     previous: Option<Vec<u32>>,
     /// Log time of the first scan, and the instant it gets.
@@ -116,9 +123,36 @@ impl RecordedScans {
         self
     }
 
+    /// Log time of the latest scan.
+    pub fn log_time(&self) -> SystemTime {
+        self.log_time
+    }
+
+    /// Counter of the messages that were read and are no scan of the stream, as
+    /// [`Recording::left_out`].
+    pub fn left_out(&self) -> LeftOutCounter {
+        self.polls.recording.left_out()
+    }
+
+    /// Frames of the scan messages read so far, at most 16. Several ones mean several sensors, unless
+    /// somebody renamed the frame.
+    pub fn frame_ids(&self) -> &BTreeSet<String> {
+        self.polls.frame_ids()
+    }
+
+    /// Serial numbers in the replies to `V` and in the metadata read so far, at most 16.
+    pub fn serial_numbers(&self) -> &BTreeSet<String> {
+        &self.polls.serial_numbers
+    }
+
     /// Decodes the scan of a reply to the stream's poll, if it has one.
     fn scan(&mut self, poll: &PollReply) -> Option<Scan> {
-        let (window, values) = poll.stream_values()?;
+        let Some((window, values)) = poll.stream_values() else {
+            if let Some(window) = poll.window {
+                self.left_out().add(LeftOutReason::FailedPoll, window);
+            }
+            return None;
+        };
         let (first, began) = *self.started.get_or_insert_with(|| (poll.at, Instant::now()));
         let since = poll.at.duration_since(first).unwrap_or_default();
         let mut scan = Scan::builder(window, values.as_slice())
@@ -132,6 +166,7 @@ impl RecordedScans {
         let scan = scan.build().ok()?;
         self.sequence = self.sequence.wrapping_add(1);
         self.position = self.polls.recording.range.since_first_scan(poll.at);
+        self.log_time = poll.at;
         self.previous = Some(values);
         Some(scan)
     }

@@ -17,6 +17,7 @@ mod field;
 mod file;
 mod folder;
 mod foreign;
+mod foreign_scans;
 mod histories;
 mod hostile;
 mod index;

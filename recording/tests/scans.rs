@@ -9,7 +9,7 @@ use tokio_scip::protocol::Command;
 use tokio_scip::{Rate, Scan, Sensor, Window};
 use urg_emulator::{Emulator, Fault, Faults, Values, WorldTime};
 use urg_recording::{
-    Entry, Record, RecordedScans, Recorder, Recording, RecordingError, ReplayPace,
+    Entry, LeftOutReason, Record, RecordedScans, Recorder, Recording, RecordingError, ReplayPace,
 };
 
 use super::file::Folder;
@@ -56,6 +56,10 @@ async fn refused_and_malformed_replies_are_skipped() {
     let expected: Vec<_> = delivered.iter().flatten().map(|scan| scan.values().to_vec()).collect();
     assert_eq!(values, expected);
     assert!(scans.next().is_none() && !scans.is_truncated());
+    let left_out = scans.left_out().counts();
+    let text: Vec<_> = left_out.iter().map(ToString::to_string).collect();
+    assert_eq!(text, ["2 refused or malformed replies (the first: steps 44..=725)"]);
+    assert_eq!(left_out[0].reason, LeftOutReason::FailedPoll);
 }
 
 #[tokio::test(start_paused = true)]

@@ -117,7 +117,10 @@ async fn the_bag_of_another_program_is_judged() {
     assert!(line.ends_with("choose a topic: /front/scan\n"), "{line}");
     let check = run(&format!("check {} --topic /front/scan", file.path()), 0).stdout;
     assert!(check.contains("not recorded, as by other programs: only the scans on /front/scan"));
-    assert!(check.contains("scans    20\n") && check.ends_with("\nall is well\n"), "{check}");
+    assert!(
+        check.contains("scans    20 of steps 44..=725\n") && check.ends_with("\nall is well\n"),
+        "{check}"
+    );
     // Nobody counted the losses: "0" would be false.
     assert!(check.contains("losses   not recorded\n"), "{check}");
 }

@@ -5,6 +5,7 @@
 
 mod check;
 mod ends;
+mod foreign;
 mod formats;
 mod http;
 #[path = "../../tests/common/instant_sensor.rs"]

@@ -169,17 +169,19 @@ fn compare(found: &[Message], must: &[Message], may: &[Message]) -> Result<(), W
     is_so(versions(found).is_subset(&versions(may)), || "another version".to_owned())
 }
 
-/// Scans of a file, as the library reads them.
-fn scans(bytes: &[u8]) -> Result<Vec<Scan>, Wrong> {
+/// Scans of a file, as the library reads them, and the number of replies and messages left out.
+fn scans(bytes: &[u8]) -> Result<(Vec<Scan>, u64), Wrong> {
     let mut scans = Vec::new();
-    for scan in Recording::read(Cursor::new(bytes.to_vec()))?.scans() {
+    let mut recorded = Recording::read(Cursor::new(bytes.to_vec()))?.scans();
+    for scan in recorded.by_ref() {
         match scan {
             Ok(scan) => scans.push(scan),
             Err(RecordingError::NoScans { .. }) => {}
             Err(error) => return Err(error.into()),
         }
     }
-    Ok(scans)
+    let left_out = recorded.left_out().counts().iter().map(|count| count.messages).sum();
+    Ok((scans, left_out))
 }
 
 /// Checks a file that a step has written, and reads it.
@@ -189,7 +191,7 @@ fn written(bytes: Vec<u8>, counts: (u64, u64)) -> Result<File, Wrong> {
     is_so(messages == file.must.len() as u64, || {
         format!("{messages} messages told, {} there", file.must.len())
     })?;
-    let found = scans(&file.bytes)?.len() as u64;
+    let found = scans(&file.bytes)?.0.len() as u64;
     is_so(scans_told == found, || format!("{scans_told} scans told, {found} there"))?;
     let again = repair(Cursor::new(file.bytes.clone()), std::io::sink())?;
     is_so(!again.was_truncated && again.damaged_parts == 0, || format!("not whole: {again:?}"))?;
@@ -492,7 +494,18 @@ fn each_recorded_scan_is_given_back_once() {
         let mut joined = Vec::new();
         let inputs = recording.files.iter().map(|file| Cursor::new(file.clone()));
         cut(inputs, .., &mut joined).unwrap();
-        let found = scans(&joined).map_err(|Wrong(text)| text).unwrap();
+        let (found, left_out) = scans(&joined).map_err(|Wrong(text)| text).unwrap();
+        // Each reply and each message without one is a scan or counted. So is a message whose reply
+        // is counted.
+        let messages = read(&joined).unwrap();
+        let (scans, replies): (Vec<_>, Vec<_>) =
+            messages.iter().filter(|one| one.is_scan()).partition(|one| one.is_laser_scan());
+        let stamps: BTreeSet<u64> = replies.iter().map(|reply| reply.publish_time).collect();
+        let alone = scans.iter().filter(|scan| !stamps.contains(&scan.publish_time)).count();
+        let least = (replies.len() + alone) as u64;
+        let told = found.len() as u64 + left_out;
+        let is_told = (least..=(replies.len() + scans.len()) as u64).contains(&told);
+        assert!(is_told, "seed {seed}: {told} of {least} messages");
         let stamps: BTreeSet<u64> = found.iter().map(|scan| nanos(scan.stamp())).collect();
         let folder = own::folder(1);
         for (number, file) in recording.files.iter().enumerate() {

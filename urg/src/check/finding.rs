@@ -46,6 +46,6 @@ impl fmt::Display for Finding {
             Verdict::Failed => "FAILED",
         };
         // An error names the port, and the name of a file may hold anything.
-        write!(f, "{verdict:<7} {:<8} {}", self.name, escaped(&self.text))
+        write!(f, "{verdict:<7} {:<8} {}", self.name.replace('_', " "), escaped(&self.text))
     }
 }

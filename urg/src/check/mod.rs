@@ -24,7 +24,9 @@ const DEFAULT_DURATION: Duration = Duration::from_secs(5);
 /// Finds the sensor, asks for its identity, switches its laser off and on, and
 /// streams scans for some seconds. The laser is on afterwards. A step is ok, weak
 /// (it works, but not as well as it should) or FAILED. The exit code is 0 unless
-/// a step has failed. A recording is tested for gaps, damage and changes of the clock.
+/// a step has failed. A recording is tested for gaps, damage, messages that are
+/// left out, changes of the clock, times that do not advance, and scans of several
+/// sensors.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -97,7 +99,7 @@ impl CheckReport {
     async fn end(self, port: &str) -> Result<(), Failure> {
         let of = |verdict| {
             let steps = self.0.iter().filter(|step| step.verdict == verdict);
-            steps.map(|step| step.name).collect::<Vec<_>>().join(", ")
+            steps.map(|step| step.name.replace('_', " ")).collect::<Vec<_>>().join(", ")
         };
         let (failed, weak) = (of(Verdict::Failed), of(Verdict::Weak));
         let line = match (failed.as_str(), weak.as_str()) {

@@ -60,12 +60,15 @@ pub(crate) async fn laser(sensor: &Sensor) -> Finding {
 
 /// Judges what a recording contains. `topic` is the one whose scans were read.
 pub(crate) fn recording(contents: Contents, topic: &str) -> Vec<Finding> {
+    let has_lost = contents.left_out.iter().any(|count| !count.reason.is_expected());
     let finding = |(name, value, text): Row| {
         let is_empty = value.as_array().is_none_or(Vec::is_empty);
         let verdict = match name {
             "scans" if value == 0 => Verdict::Failed,
             "complete" if value != true => Verdict::Failed,
             "gaps" | "clock" if !is_empty => Verdict::Weak,
+            "times" | "sources" => Verdict::Weak,
+            "left_out" if has_lost => Verdict::Weak,
             "losses" if value.as_u64() > Some(0) => Verdict::Weak,
             _ => Verdict::Ok,
         };

@@ -50,7 +50,7 @@ impl Info {
         port.choose_topic(&self.topic)?;
         let (version, baud_rate, rows) = match port.recorded() {
             Some(recorded) => {
-                let Contents { version, baud_rate, rows } = recorded.contents().await?;
+                let Contents { version, baud_rate, rows, .. } = recorded.contents().await?;
                 (version, baud_rate.map(|rate| rate.map(|rate| (rate, None))), rows)
             }
             None => {
@@ -131,7 +131,7 @@ fn text(port: &PortName, version: &Version, baud_rate: Option<&Speed>) -> String
 
 fn row(text: &mut String, name: &str, value: &str) {
     // Writing to a `String` is infallible. A file name may contain control characters.
-    let _ = writeln!(text, "{name:<14} {}", escaped(value));
+    let _ = writeln!(text, "{:<14} {}", name.replace('_', " "), escaped(value));
 }
 
 /// Formats the sensor's steps, with their directions.

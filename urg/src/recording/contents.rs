@@ -1,14 +1,16 @@
-//! Contents of a recording for `urg info`: time span, number of scans, gaps, and changes of
-//! the wall clock. You can pass any of these times to `--range`: they count from the first scan
+//! Contents of a recording for `urg info`: time span, number of scans, what was left out, gaps,
+//! sources, and changes of the wall clock. You can pass any of these times to `--range`: they count from the first scan
 //! on the steady clock. Stamps use the wall clock, which may jump.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use serde_json::{Value, json};
-use tokio_scip::{BaudRate, Rate, Version};
-use urg_recording::{Recording, RecordingError};
+use tokio_scip::{BaudRate, Rate, Version, Window};
+use urg_recording::{LeftOut, RecordedScans, Recording, RecordingError};
 
+use super::clock::Clock;
 use crate::format::counted;
 use crate::format::time::{self, clock};
 
@@ -20,7 +22,9 @@ const GAP_TOLERANCE: Duration = Duration::from_secs(1);
 /// The wall clock was set if it differs from the steady clock by more than this between two
 /// scans, in seconds. Longer than any reply takes.
 const CLOCK_TOLERANCE: f64 = 1.0;
-const MAX_LISTED_GAPS: usize = 5;
+const MAX_LISTED: usize = 5;
+/// Number of windows to tell apart.
+const MAX_WINDOWS: usize = 16;
 
 #[derive(Debug)]
 pub(crate) struct Contents {
@@ -28,6 +32,8 @@ pub(crate) struct Contents {
     /// Baud rate of the line, or `None` on USB. `None` also if the recording does not have it.
     pub(crate) baud_rate: Option<Option<BaudRate>>,
     pub(crate) rows: Vec<Row>,
+    /// Messages that were read and are no scan.
+    pub(crate) left_out: Vec<LeftOut>,
 }
 
 /// Reads the whole recording, which has no `path` if it is a pipe. Blocks for as long as that
@@ -36,14 +42,17 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
     let (window, rate) = (recording.window(), recording.rate());
     let baud_rate = recording.metadata().get("baud_rate").map(|rate| rate.parse().ok());
     let mut times = ScanTimes::new(rate);
-    let mut in_window = 0;
+    let mut windows = Windows::default();
+    let (mut stamps, mut log_times) = (Clock::default(), Clock::default());
     let mut damaged_at = Vec::new();
     // Same scans as in a replay.
     let mut recorded = recording.scans();
     while let Some(scan) = recorded.next() {
         match scan {
             Ok(scan) => {
-                in_window += u64::from(window == Some(scan.window()));
+                windows.add(scan.window());
+                stamps.add(scan.stamp());
+                log_times.add(recorded.log_time());
                 times.add(recorded.position(), scan.stamp());
             }
             Err(RecordingError::Damaged { offset, .. }) => damaged_at.push(offset),
@@ -54,13 +63,12 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
     }
     let losses = recorded.failed_polls();
     let complete = !recorded.is_truncated() && damaged_at.is_empty();
-    let ScanTimes { scans, gaps, clock_steps, .. } = &times;
-    let asked = match window {
-        // A part of joined recordings may have another window.
-        Some(window) if in_window < *scans => format!(", {in_window} of them of {window}"),
-        Some(window) => format!(" of {window}"),
-        None => String::new(),
-    };
+    let left_out = recorded.left_out().counts();
+    let ScanTimes { scans, gaps, clock_steps, .. } = &mut times;
+    if stamps.stands() || log_times.stands() {
+        clock_steps.clear();
+    }
+    let asked = windows.describe(window);
     let asked = rate.map(|rate| format!("{asked}, asked for at {rate}")).unwrap_or(asked);
     let mut end = Vec::new();
     if recorded.is_truncated() {
@@ -82,7 +90,11 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
     };
     let mut rows = vec![
         ("scans", json!(scans), format!("{scans}{asked}")),
-        ("gaps", json!(gaps), listed(gaps)),
+        left_out_row(&left_out),
+        match log_times.stands() {
+            true => ("gaps", Value::Null, "not known without log times".to_owned()),
+            false => ("gaps", json!(gaps), listed(gaps, Gap::to_string)),
+        },
         match losses {
             // Another program recorded only the scans.
             0 if recorded.version() == Version::default() => {
@@ -93,9 +105,19 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
         },
         ("complete", json!(complete), end),
     ];
+    rows.extend(source_row(&recorded));
+    // The row of the clock has those that were set back.
+    let faults = [
+        stamps.fault("stamp", clock_steps.len() as u64),
+        log_times.fault("log time", 0).map(|fault| format!("{fault}: --range counts by them")),
+    ];
+    if faults.iter().any(Option::is_some) {
+        let text = faults.into_iter().flatten().collect::<Vec<_>>().join("; ");
+        rows.insert(0, ("times", json!({ "stamps": stamps, "log_times": log_times }), text));
+    }
     if !clock_steps.is_empty() {
-        let steps: Vec<String> = clock_steps.iter().map(ClockStep::to_string).collect();
-        let text = format!("{}; the times here and of --range do not jump", steps.join(", "));
+        let steps = listed(clock_steps, ClockStep::to_string);
+        let text = format!("{steps}; the times here and of --range do not jump");
         rows.insert(0, ("clock", json!(clock_steps), text));
     }
     if let Some(span) = times.span {
@@ -103,7 +125,61 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
         let text = format!("{began}, for {}", clock(seconds));
         rows.insert(0, ("recorded", json!({ "began": began, "seconds": seconds }), text));
     }
-    Ok(Contents { version: recorded.version(), baud_rate, rows })
+    Ok(Contents { version: recorded.version(), baud_rate, rows, left_out })
+}
+
+fn left_out_row(counts: &[LeftOut]) -> Row {
+    let text = match counts {
+        [] => "none".to_owned(),
+        counts => counts.iter().map(LeftOut::to_string).collect::<Vec<_>>().join("; "),
+    };
+    ("left_out", json!(counts), text)
+}
+
+/// Describes the sensors, if there are several.
+fn source_row(recorded: &RecordedScans) -> Option<Row> {
+    let sources = [("frames", recorded.frame_ids()), ("sensors", recorded.serial_numbers())];
+    let several = |(noun, names): &(&str, &BTreeSet<String>)| {
+        let listed = names.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
+        (names.len() > 1).then(|| format!("scans of {} {noun}: {listed}", names.len()))
+    };
+    let text: Vec<_> = sources.iter().filter_map(several).collect();
+    let value =
+        json!({ "frame_ids": recorded.frame_ids(), "serial_numbers": recorded.serial_numbers() });
+    (!text.is_empty()).then(|| ("sources", value, text.join("; ")))
+}
+
+/// Windows of the scans, in the order in which they came, with the number of their scans.
+#[derive(Debug, Default)]
+struct Windows {
+    counts: Vec<(Window, u64)>,
+    others: u64,
+}
+
+impl Windows {
+    fn add(&mut self, window: Window) {
+        let is_full = self.counts.len() == MAX_WINDOWS;
+        match self.counts.iter_mut().find(|(known, _)| *known == window) {
+            Some((_, scans)) => *scans += 1,
+            None if is_full => self.others += 1,
+            None => self.counts.push((window, 1)),
+        }
+    }
+
+    /// Describes the windows, of which one is `asked` for.
+    fn describe(&self, asked: Option<Window>) -> String {
+        match self.counts.as_slice() {
+            [] => asked.map(|window| format!(" of {window}")).unwrap_or_default(),
+            [(window, _)] => format!(" of {window}"),
+            counts => {
+                let text = listed(counts, |(window, scans)| format!("{scans} of {window}"));
+                match self.others {
+                    0 => format!(": {text}"),
+                    others => format!(": {text}, and {others} of further windows"),
+                }
+            }
+        }
+    }
 }
 
 /// Span, gaps and clock changes of the scans read or recorded so far.
@@ -190,14 +266,20 @@ fn difference(from: SystemTime, to: SystemTime) -> f64 {
     }
 }
 
-fn listed(gaps: &[Gap]) -> String {
-    if gaps.is_empty() {
+impl std::fmt::Display for Gap {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:.1} s at {}", self.seconds, clock(self.from))
+    }
+}
+
+/// Lists the first items.
+fn listed<T>(items: &[T], one: impl Fn(&T) -> String) -> String {
+    if items.is_empty() {
         return "none".to_owned();
     }
-    let one = |gap: &Gap| format!("{:.1} s at {}", gap.seconds, clock(gap.from));
-    let mut text = gaps.iter().take(MAX_LISTED_GAPS).map(one).collect::<Vec<_>>().join(", ");
-    if gaps.len() > MAX_LISTED_GAPS {
-        text = format!("{}, the first of them {text}", gaps.len());
+    let mut text = items.iter().take(MAX_LISTED).map(one).collect::<Vec<_>>().join(", ");
+    if items.len() > MAX_LISTED {
+        text = format!("{}, the first of them {text}", items.len());
     }
     text
 }
@@ -215,6 +297,7 @@ mod tests {
         }
         assert_eq!(times.clock_steps, []);
         assert_eq!(times.scans, 39);
+        let listed = |gaps: &[Gap]| listed(gaps, Gap::to_string);
         assert_eq!(listed(&times.gaps), "30.1 s at 0:01, 1.2 s at 0:32");
         assert_eq!(listed(&[]), "none");
         let many = [Gap { from: 3_661.0, seconds: 2.0 }; 6];

@@ -1,5 +1,6 @@
 //! Recordings in this program: a recording as PORT, its contents, and its rewriting.
 
+pub(crate) mod clock;
 pub(crate) mod contents;
 pub(crate) mod recorded;
 pub(crate) mod reel;

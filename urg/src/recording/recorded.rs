@@ -15,7 +15,9 @@ use tokio::sync::watch;
 use tokio_scip::port::Connect;
 use tokio_scip::{Driver, Error, Rate, Sensor, SensorBuilder, Window};
 use urg_emulator::Emulator;
-use urg_recording::{Recording, RecordingError, ReplayPace, recording_files};
+use urg_recording::{
+    LeftOut, LeftOutCounter, Recording, RecordingError, ReplayPace, recording_files,
+};
 
 use super::contents::{self, Contents};
 use super::span::TimeSpan;
@@ -41,6 +43,8 @@ pub(crate) struct Recorded {
     topic: Option<String>,
     /// Number of scans that feeds have yielded.
     consumed: Arc<watch::Sender<u64>>,
+    /// What the latest replay has left out.
+    left_out: Arc<Mutex<LeftOutCounter>>,
 }
 
 impl Recorded {
@@ -61,6 +65,7 @@ impl Recorded {
             range: None,
             topic: None,
             consumed: Arc::default(),
+            left_out: Arc::default(),
         })
     }
 
@@ -147,6 +152,7 @@ impl Recorded {
         delivery: Delivery,
     ) -> Result<Sensor, Failure> {
         let recording = self.open()?;
+        *self.left_out.lock() = recording.left_out();
         if self.stdin.is_some() {
             let builder = builder.name(self.to_string()).open_timeout(PIPE_PATIENCE);
             let pipe =
@@ -166,6 +172,14 @@ impl Recorded {
         let (sensor, driver) = builder.build(emulator);
         tokio::spawn(run(driver, sensor.clone(), delivery, self.consumed.subscribe()));
         Ok(sensor)
+    }
+
+    /// Describes what a replay has left out of the stream, if anything.
+    pub(crate) fn left_out(&self) -> Option<String> {
+        let mut counts = self.left_out.lock().counts();
+        counts.retain(|count| !count.reason.is_expected());
+        let text: Vec<_> = counts.iter().map(LeftOut::to_string).collect();
+        (!text.is_empty()).then(|| format!("{self}: left out: {}", text.join("; ")))
     }
 
     /// Counts a scan that a feed has yielded.
@@ -204,8 +218,8 @@ impl Recorded {
     /// Describes an error at the first scan. The range may contain no scan.
     pub(super) fn no_scans(&self, error: &RecordingError) -> Failure {
         match (self.range, error) {
-            (Some(range), RecordingError::NoScans { topics })
-                if self.stdin.is_none() && topics.is_empty() =>
+            (Some(range), RecordingError::NoScans { left_out, topics })
+                if self.stdin.is_none() && topics.is_empty() && left_out.is_empty() =>
             {
                 Failure::Failed(format!(
                     "{self}: no scan in --range {range}: `urg info {self}` shows how long it is"

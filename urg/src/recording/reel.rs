@@ -40,11 +40,12 @@ impl Reel {
     pub(crate) fn open(recorded: Recorded) -> Result<Self, Failure> {
         let mut positions = Vec::new();
         let mut scans = recorded.open()?.scans();
-        while next_scan(&mut scans, &recorded)?.is_some() {
+        while next_scan(&mut scans).map_err(|error| recorded.no_scans(&error))?.is_some() {
             positions.push(scans.position());
         }
         if positions.is_empty() {
-            return Err(recorded.no_scans(&RecordingError::NoScans { topics: Vec::new() }));
+            let (left_out, topics) = (scans.left_out().counts(), Vec::new());
+            return Err(recorded.no_scans(&RecordingError::NoScans { left_out, topics }));
         }
         let version = scans.version();
         let scans = recorded.open()?.scans();
@@ -74,7 +75,11 @@ impl Reel {
             self.jump(number.saturating_sub(READ_BEFORE))?;
         }
         while self.next <= number {
-            let scan = next_scan(&mut self.scans, &self.recorded)?;
+            let scan = match next_scan(&mut self.scans) {
+                // There was one when it was opened.
+                Err(RecordingError::NoScans { .. }) => None,
+                scan => scan.map_err(|error| self.recorded.failure(&error))?,
+            };
             let scan =
                 scan.filter(|_| Some(&self.scans.position()) == self.positions.get(self.next));
             let scan = scan.ok_or_else(|| {
@@ -113,14 +118,14 @@ impl Reel {
 }
 
 /// Reads the next scan, and skips damaged parts of the file, as a replay does.
-fn next_scan(scans: &mut RecordedScans, recorded: &Recorded) -> Result<Option<Scan>, Failure> {
+fn next_scan(scans: &mut RecordedScans) -> Result<Option<Scan>, RecordingError> {
     for scan in scans {
         match scan {
             Ok(scan) => return Ok(Some(scan)),
             Err(error @ RecordingError::Damaged { .. }) => {
                 tracing::warn!(%error, "the playback leaves out a part of the recording");
             }
-            Err(error) => return Err(recorded.no_scans(&error)),
+            Err(error) => return Err(error),
         }
     }
     Ok(None)

@@ -13,6 +13,7 @@ use super::rate_watch::RateWatch;
 use crate::failure::{Failure, chain};
 use crate::output::notice::notice;
 use crate::port::name::PortName;
+use crate::recording::recorded::Recorded;
 
 /// Time that a sensor may take until its first scan.
 const FIRST_SCAN: Duration = Duration::from_secs(1);
@@ -86,6 +87,9 @@ impl Reporter {
     /// Maps the end of the stream to the outcome of the program. Not a single scan is an
     /// error, whatever ended the stream, unless the user ended it before one could arrive.
     pub(crate) fn finish(&self, ended: StreamEnd) -> Result<(), Failure> {
+        if let Some(text) = self.port.recorded().and_then(Recorded::left_out) {
+            notice(text);
+        }
         if ended == StreamEnd::ByItself {
             end(&self.port, &self.sensor)?;
         }

@@ -1,0 +1,114 @@
+//! [`LeftOut`]: messages that were read and are no scan of the stream, counted by reason.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use serde::Serialize;
+
+/// Number of messages that were left out for one reason. `Display` writes it in words, such as
+/// `50 scans of another window (the first: steps 100..=400)`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
+pub struct LeftOut {
+    /// Why they were left out.
+    pub reason: LeftOutReason,
+    /// Number of messages.
+    pub messages: u64,
+    /// Details of the first one.
+    pub first: String,
+}
+
+/// Why a message was left out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum LeftOutReason {
+    /// Scan of another window than the stream's.
+    OtherWindow,
+    /// Scan whose directions are not steps of a URG.
+    OtherLaser,
+    /// The message ends before its fields do, or a field is malformed.
+    Malformed,
+    /// The message is compressed.
+    Compressed,
+    /// Message of ROS 1.
+    Ros1,
+    /// The message is not CDR, or is XCDR2 with another layout.
+    OtherEncoding,
+    /// Message of another type than the topic's.
+    OtherType,
+    /// The sensor refused the poll, or its reply was malformed.
+    FailedPoll,
+    /// Scan on another topic.
+    OtherTopic,
+    /// Reply to a request of another stream or task.
+    OtherRequest,
+}
+
+impl LeftOutReason {
+    /// Returns true for messages that do not belong to the stream anyway.
+    pub fn is_expected(self) -> bool {
+        matches!(self, Self::OtherTopic | Self::OtherRequest)
+    }
+
+    /// The messages in words: one of them, or several.
+    fn words(self) -> [&'static str; 2] {
+        match self {
+            Self::OtherWindow => ["scan of another window", "scans of another window"],
+            Self::OtherLaser => ["scan of another laser scanner", "scans of other laser scanners"],
+            Self::Malformed => {
+                ["message cut short or malformed", "messages cut short or malformed"]
+            }
+            Self::Compressed => ["compressed message", "compressed messages"],
+            Self::Ros1 => ["message of ROS 1", "messages of ROS 1"],
+            Self::OtherEncoding => ["message in another encoding", "messages in another encoding"],
+            Self::OtherType => ["message of another type", "messages of another type"],
+            Self::FailedPoll => ["refused or malformed reply", "refused or malformed replies"],
+            Self::OtherTopic => ["scan on another topic", "scans on other topics"],
+            Self::OtherRequest => ["reply to another request", "replies to other requests"],
+        }
+    }
+}
+
+impl fmt::Display for LeftOut {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { reason, messages, first } = self;
+        let [one, several] = reason.words();
+        match messages {
+            1 => write!(f, "1 {one} ({first})"),
+            _ => write!(f, "{messages} {several} (the first: {first})"),
+        }
+    }
+}
+
+/// Counter of the messages that the readers of one recording leave out. Clones share the counts,
+/// which grow while the recording is read or replayed.
+#[derive(Debug, Clone, Default)]
+pub struct LeftOutCounter(Arc<Mutex<BTreeMap<LeftOutReason, (u64, String)>>>);
+
+impl LeftOutCounter {
+    /// Returns the counts so far, one for each reason.
+    pub fn counts(&self) -> Vec<LeftOut> {
+        let counts = self.lock();
+        let counts = counts.iter().map(|(reason, (messages, first))| LeftOut {
+            reason: *reason,
+            messages: *messages,
+            first: first.clone(),
+        });
+        counts.collect()
+    }
+
+    pub(super) fn add(&self, reason: LeftOutReason, details: impl fmt::Display) {
+        self.lock().entry(reason).or_insert_with(|| (0, details.to_string())).0 += 1;
+    }
+
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<LeftOutReason, (u64, String)>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Lists counts in one line, each after a separator.
+pub(super) fn listed(counts: &[LeftOut]) -> String {
+    counts.iter().map(|count| format!("; {count}")).collect()
+}

@@ -1,0 +1,363 @@
+//! Random bags of scans as other programs write them: any windows, clusters, ranges and times,
+//! messages of other lasers, types and encodings, and messages that are cut short. The truth is
+//! written down with each message: a scan with its values, or the reason why there is none.
+
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::time::{Duration, SystemTime};
+
+use mcap::WriteOptions;
+use mcap::records::{MessageHeader, Metadata};
+use tokio_scip::{Scan, Window};
+use urg_recording::{LeftOut, LeftOutReason, Recording, RecordingError, cut};
+
+use crate::common::random::{Random, seeds};
+use crate::sink::{replayed, window};
+
+const SECOND: i64 = 1_000_000_000;
+const STEP: f64 = 2.0 * std::f64::consts::PI / 1024.0;
+
+/// Range in a message, and the value that it stands for.
+const RANGES: [(f32, u32); 13] = [
+    (f32::INFINITY, 16),
+    (f32::NEG_INFINITY, 19),
+    (f32::NAN, 19),
+    (0.0, 19),
+    (-0.5, 19),
+    (0.001, 1),
+    (0.006, 6),
+    (0.019, 19),
+    (0.02, 20),
+    (4.094, 4094),
+    (4.1, 16),
+    (5.6, 16),
+    (8.0, 0),
+];
+/// Time of a revolution in a message, and in nanoseconds what it stands for.
+const REVOLUTIONS: [(f32, i64); 7] = [
+    (0.1, SECOND / 10),
+    (0.025, SECOND / 40),
+    (0.0, SECOND / 10),
+    (100.0, SECOND / 10),
+    (1e8, SECOND / 10),
+    (-0.1, SECOND / 10),
+    (f32::NAN, SECOND / 10),
+];
+
+#[derive(Debug, Clone, PartialEq)]
+struct Expected {
+    window: Window,
+    values: Vec<u32>,
+    /// Time in the header.
+    first_ray: i64,
+    revolution: i64,
+}
+
+/// Messages of a bag: scans, and counts of others.
+#[derive(Default)]
+struct Truth {
+    scans: Vec<Expected>,
+    left_out: BTreeMap<LeftOutReason, u64>,
+}
+
+/// Form of a message.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Form {
+    Defined,
+    /// The angles are those of the first and the last step.
+    UrgNode,
+    OtherLaser,
+    Short,
+    Compressed,
+    OtherHeader,
+    Ros1,
+    OtherType,
+    Json,
+    OtherTopic,
+}
+
+const FORMS: [Form; 10] = [
+    Form::Defined,
+    Form::UrgNode,
+    Form::OtherLaser,
+    Form::Short,
+    Form::Compressed,
+    Form::OtherHeader,
+    Form::Ros1,
+    Form::OtherType,
+    Form::Json,
+    Form::OtherTopic,
+];
+
+/// Window that a message can tell: the last cluster of a message by definition is whole.
+fn any_window(random: &mut Random, form: Form) -> Window {
+    loop {
+        let cluster = 1 + random.below(12) as u16;
+        let points = 2 + random.below(30) as u16;
+        let rest = match form {
+            Form::UrgNode => random.below(cluster.into()) as u16,
+            _ => cluster - 1,
+        };
+        let start = random.below(700) as u16;
+        let end = start + (points - 1) * cluster + rest;
+        // With these angles, both forms are one.
+        let is_both = form == Form::UrgNode && cluster % 2 == 1 && rest == 0 && cluster > 1;
+        if end <= 768 && !is_both {
+            return window(start, end, cluster as u8);
+        }
+    }
+}
+
+fn header_kind(random: &mut Random, form: Form) -> u8 {
+    match form {
+        Form::OtherHeader => *random.pick(&[2, 3, 8, 9, 10, 11, 99]),
+        _ => *random.pick(&[0, 1, 6, 7]),
+    }
+}
+
+/// Writes a scan of `window`. Returns its CDR, and what it means.
+fn message(random: &mut Random, form: Form, window: Window, stamp: i64) -> (Vec<u8>, Expected) {
+    let kind = header_kind(random, form);
+    let is_big = kind.is_multiple_of(2);
+    let mut out = vec![0, kind, 0, random.below(4) as u8];
+    let put = |out: &mut Vec<u8>, mut bytes: [u8; 4]| {
+        if is_big {
+            bytes.reverse();
+        }
+        out.extend(bytes);
+    };
+    put(&mut out, ((stamp / SECOND) as i32).to_le_bytes());
+    put(&mut out, ((stamp % SECOND) as u32).to_le_bytes());
+    let frame: &[u8] = random.pick::<&[u8]>(&[b"front\0", b"rear\0", b"", b"caf\xe9\0"]);
+    put(&mut out, (frame.len() as u32).to_le_bytes());
+    out.extend(frame);
+    out.resize(out.len().next_multiple_of(4), 0);
+    let (first, last) = (f64::from(window.start().number()), f64::from(window.end().number()));
+    let cluster = f64::from(window.cluster_count());
+    let points = window.points();
+    let middle = first + (cluster - 1.0) / 2.0;
+    let (from, to) = match form {
+        Form::UrgNode => (first, last),
+        _ => (middle, middle + cluster * (points - 1) as f64),
+    };
+    let (mut from, mut to, mut by) = ((from - 384.0) * STEP, (to - 384.0) * STEP, cluster * STEP);
+    if form == Form::OtherLaser {
+        match random.below(4) {
+            0 => (from, by) = (from + STEP / 3.0, by),
+            // Clockwise, as of a sensor that is mounted upside down.
+            1 => (from, to, by) = (to, from, -by),
+            2 => by *= 0.7,
+            _ => (from, to) = (f64::NAN, to),
+        }
+    }
+    let (scan_time, revolution) = *random.pick(&REVOLUTIONS);
+    let increment = scan_time * cluster as f32 / 1024.0;
+    let fields = [from as f32, to as f32, by as f32, increment, scan_time, 0.02, 5.6];
+    fields.iter().for_each(|field| put(&mut out, field.to_le_bytes()));
+    put(&mut out, (points as u32).to_le_bytes());
+    let mut values = Vec::new();
+    for _ in 0..points {
+        let distance = 20 + random.below(4075) as u16;
+        let common = (f32::from(distance) / 1000.0, u32::from(distance));
+        let (range, value) = if random.once_in(3) { *random.pick(&RANGES) } else { common };
+        put(&mut out, range.to_le_bytes());
+        values.push(value);
+    }
+    let whole = out.len();
+    put(&mut out, 0_u32.to_le_bytes());
+    match form {
+        Form::Short => out.truncate(random.below(whole as u64) as usize),
+        Form::Compressed => out.splice(..0, [0x28, 0xb5, 0x2f, 0xfd]).for_each(drop),
+        _ => {}
+    }
+    (out, Expected { window, values, first_ray: stamp, revolution })
+}
+
+/// Writes a bag of up to 40 messages, described as a recording of `described` or not.
+fn bag(random: &mut Random, described: Option<Window>) -> (Vec<u8>, Truth) {
+    let options = WriteOptions::new().compression(None).chunk_size(Some(1 + random.below(4000)));
+    let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
+    let scan = "sensor_msgs/msg/LaserScan";
+    for (id, topic, name, encoding) in [
+        (1, "/scan", scan, "cdr"),
+        (2, "/scan", "sensor_msgs/LaserScan", "ros1"),
+        (3, "/scan", "my_msgs/msg/Scan", "cdr"),
+        (4, "/scan", scan, "json"),
+        (5, "/rear/scan", scan, "cdr"),
+    ] {
+        let schema = writer.add_schema_with_id(id, name, "ros2msg", b"").unwrap();
+        writer.add_channel_with_id(id, schema, topic, encoding, &BTreeMap::new()).unwrap();
+    }
+    if let Some(window) = described {
+        let fields = [
+            ("start", window.start().number()),
+            ("end", window.end().number()),
+            ("cluster", window.cluster_count().into()),
+        ];
+        let metadata = fields.map(|(key, value)| (key.to_owned(), value.to_string())).into();
+        writer.write_metadata(&Metadata { name: "tokio_scip".to_owned(), metadata }).unwrap();
+    }
+    let mut truth = Truth::default();
+    let mut window = any_window(random, Form::Defined);
+    let (mut log_time, mut stamp) = (1_700_000_000 * SECOND, 1_700_000_000 * SECOND);
+    let (log_step, stamp_step) =
+        (*random.pick(&[SECOND / 10, 0]), *random.pick(&[SECOND / 10, 0, -SECOND / 10]));
+    if random.once_in(4) {
+        (log_time, stamp) = (log_time * random.below(2) as i64, 0);
+    }
+    for sequence in 0..random.below(40) as u32 {
+        let form = if random.once_in(2) { Form::Defined } else { *random.pick(&FORMS) };
+        if random.once_in(8) {
+            window = any_window(random, Form::Defined);
+        }
+        let written = match form {
+            Form::UrgNode => any_window(random, form),
+            _ => described.filter(|_| random.once_in(2)).unwrap_or(window),
+        };
+        let (data, expected) = message(random, form, written, stamp);
+        let channel_id = match form {
+            Form::Ros1 => 2,
+            Form::OtherType => 3,
+            Form::Json => 4,
+            Form::OtherTopic => 5,
+            _ => 1,
+        };
+        let header = MessageHeader {
+            channel_id,
+            sequence,
+            log_time: log_time as u64,
+            publish_time: log_time as u64,
+        };
+        writer.write_to_known_channel(&header, &data).unwrap();
+        let reason = match form {
+            Form::Defined | Form::UrgNode => None,
+            Form::OtherLaser => Some(LeftOutReason::OtherLaser),
+            Form::Short => Some(LeftOutReason::Malformed),
+            Form::Compressed => Some(LeftOutReason::Compressed),
+            Form::OtherHeader | Form::Json => Some(LeftOutReason::OtherEncoding),
+            Form::Ros1 => Some(LeftOutReason::Ros1),
+            Form::OtherType => Some(LeftOutReason::OtherType),
+            Form::OtherTopic => Some(LeftOutReason::OtherTopic),
+        };
+        let is_other = described.is_some_and(|described| described != expected.window);
+        match reason.or(is_other.then_some(LeftOutReason::OtherWindow)) {
+            Some(reason) => *truth.left_out.entry(reason).or_default() += 1,
+            None => truth.scans.push(expected),
+        }
+        log_time += log_step;
+        stamp = (stamp + stamp_step).max(0);
+    }
+    writer.finish().unwrap();
+    (writer.into_inner().into_inner(), truth)
+}
+
+fn open(file: &[u8]) -> Recording {
+    Recording::read(Cursor::new(file.to_vec())).unwrap()
+}
+
+fn counted(counts: &[LeftOut]) -> BTreeMap<LeftOutReason, u64> {
+    counts.iter().map(|count| (count.reason, count.messages)).collect()
+}
+
+fn check(scan: &Scan, expected: &Expected) {
+    assert_eq!((scan.window(), scan.values()), (expected.window, &*expected.values));
+    let near = |found: Duration, wanted: i64| {
+        let error = (found.as_nanos() as i64 - wanted).abs();
+        assert!(error < 3_000, "{found:?}: {error} ns from {wanted}");
+    };
+    near(scan.scan_time(), expected.revolution);
+    near(
+        scan.first_ray_stamp().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default(),
+        expected.first_ray,
+    );
+}
+
+#[tokio::test(start_paused = true)]
+async fn every_message_is_a_scan_or_counted() {
+    let mut totals = BTreeMap::new();
+    for seed in seeds("URG_FOREIGN", 400) {
+        let random = &mut Random::new(seed);
+        let described = random.once_in(3).then(|| any_window(random, Form::Defined));
+        let (file, truth) = bag(random, described);
+        let mut recorded = open(&file).scans();
+        let mut scans = Vec::new();
+        for scan in recorded.by_ref() {
+            match scan {
+                Ok(scan) => scans.push(scan),
+                Err(RecordingError::NoScans { .. }) => assert!(truth.scans.is_empty(), "{seed}"),
+                Err(error) => panic!("{seed}: {error}"),
+            }
+        }
+        let left_out = recorded.left_out().counts();
+        assert_eq!(counted(&left_out), truth.left_out, "{seed}: {left_out:?}");
+        assert_eq!(scans.len(), truth.scans.len(), "{seed}");
+        scans.iter().zip(&truth.scans).for_each(|(scan, expected)| check(scan, expected));
+        for (reason, count) in counted(&left_out) {
+            *totals.entry(reason).or_insert(0) += count;
+        }
+        // A copy counts the same scans.
+        let mut copy = Vec::new();
+        let copied = cut([Cursor::new(file.clone())], .., &mut copy).unwrap();
+        assert_eq!(copied.scans, scans.len() as u64, "{seed}");
+        // So does a replay, and it has the values of each.
+        let Some(first) = truth.scans.first().filter(|_| seed % 4 == 0) else { continue };
+        let recording = open(&file);
+        let counter = recording.left_out();
+        let replayed = replayed(recording, first.window).await;
+        assert_eq!(counted(&counter.counts()), truth.left_out, "{seed}: replayed");
+        assert_eq!(replayed.len(), scans.len(), "{seed}: replayed");
+        for (replayed, expected) in replayed.iter().zip(&truth.scans) {
+            if expected.window == first.window {
+                assert_eq!(replayed.values(), expected.values, "{seed}: replayed");
+            }
+        }
+    }
+    println!("left out: {totals:?}");
+    assert!(totals.len() == 8 && totals.values().all(|count| *count > 5), "{totals:?}");
+}
+
+/// Joined, two streams take turns. A part may have the scans of the earlier one alone.
+#[test]
+fn a_part_shows_the_stream_that_it_has() {
+    let [long, short] = [window(300, 310, 1), window(400, 420, 1)];
+    let bag = |window: Window, seconds: std::ops::Range<i64>| {
+        let mut writer =
+            WriteOptions::new().compression(None).create(Cursor::new(Vec::new())).unwrap();
+        let metadata = [("start", window.start()), ("end", window.end())]
+            .map(|(key, step)| (key.to_owned(), step.number().to_string()));
+        let metadata = metadata.into_iter().chain([("cluster".to_owned(), "1".to_owned())]);
+        let metadata = metadata.collect();
+        writer.write_metadata(&Metadata { name: "tokio_scip".to_owned(), metadata }).unwrap();
+        let name = "sensor_msgs/msg/LaserScan";
+        let schema = writer.add_schema_with_id(1, name, "ros2msg", b"").unwrap();
+        writer.add_channel_with_id(1, schema, "/scan", "cdr", &BTreeMap::new()).unwrap();
+        for tenth in seconds.start * 10..seconds.end * 10 {
+            let stamp = 1_700_000_000 * SECOND + tenth * SECOND / 10;
+            let (data, _) = message(&mut Random::new(1), Form::Defined, window, stamp);
+            let log_time = stamp as u64;
+            let header =
+                MessageHeader { channel_id: 1, sequence: 0, log_time, publish_time: log_time };
+            writer.write_to_known_channel(&header, &data).unwrap();
+        }
+        writer.finish().unwrap();
+        Cursor::new(writer.into_inner().into_inner())
+    };
+    let mut joined = Vec::new();
+    let copied = cut([bag(long, 0..10), bag(short, 3..5)], .., &mut joined).unwrap();
+    let read = |file: &[u8]| {
+        let mut recorded = open(file).scans();
+        let windows: Vec<Window> = recorded.by_ref().map(|scan| scan.unwrap().window()).collect();
+        let count = |wanted| windows.iter().filter(|window| **window == wanted).count();
+        (count(long), count(short), counted(&recorded.left_out().counts()))
+    };
+    // Once the other one has begun, the scans of the first are left out, and counted.
+    let (first, second, left_out) = read(&joined);
+    assert_eq!((first, second), (31, 20));
+    assert_eq!(left_out, [(LeftOutReason::OtherWindow, 69)].into());
+    assert_eq!(copied.scans, 51);
+    let mut part = Vec::new();
+    let seconds = |seconds| Duration::from_secs(seconds);
+    let copied = cut([Cursor::new(joined)], seconds(7)..seconds(9), &mut part).unwrap();
+    assert_eq!(read(&part), (20, 0, BTreeMap::new()));
+    assert_eq!(copied.scans, 20);
+}

@@ -1,0 +1,197 @@
+//! Recordings of other programs: what is left out of them, and times and sources that are not right.
+
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::time::{Duration, SystemTime};
+
+use mcap::records::MessageHeader;
+use serde_json::Value;
+use tokio_scip::{Rate, Scan, Sensor, Window};
+use urg_emulator::Emulator;
+use urg_recording::{Recorder, ros};
+
+use super::formats::scans;
+use super::program::{Scratch, failure, run};
+
+/// Message of a bag.
+struct Message {
+    topic: &'static str,
+    log_time: Duration,
+    data: Vec<u8>,
+}
+
+/// Scan of `window` at a tenth of a second.
+fn scan(window: Window, tenth: u64) -> Message {
+    of_frame(window, "laser", tenth, Duration::from_millis(100 * tenth))
+}
+
+fn of_frame(window: Window, frame: &str, tenth: u64, stamp: Duration) -> Message {
+    let values = vec![1000 + tenth as u32; window.points()];
+    let scan = Scan::builder(window, values).build().unwrap();
+    let mut data = Vec::new();
+    ros::write_scan(&mut data, &scan, SystemTime::UNIX_EPOCH + stamp, frame);
+    Message { topic: "/scan", log_time: Duration::from_millis(100 * tenth), data }
+}
+
+/// Writes a bag. Its first channel is of ROS 2; `/old/scan` is of ROS 1.
+fn write(file: &Scratch, messages: impl IntoIterator<Item = Message>) {
+    let mut bag =
+        mcap::WriteOptions::new().compression(None).create(Cursor::new(Vec::new())).unwrap();
+    let mut channels = BTreeMap::new();
+    for message in messages {
+        let number = channels.len() as u16 + 1;
+        let channel = *channels.entry(message.topic).or_insert_with(|| {
+            let (name, encoding) = match message.topic {
+                "/old/scan" => ("sensor_msgs/LaserScan", "ros1"),
+                _ => ("sensor_msgs/msg/LaserScan", "cdr"),
+            };
+            bag.add_schema_with_id(number, name, "ros2msg", b"").unwrap();
+            let metadata = BTreeMap::new();
+            bag.add_channel_with_id(number, number, message.topic, encoding, &metadata).unwrap();
+            number
+        });
+        let log_time = message.log_time.as_nanos() as u64;
+        let header =
+            MessageHeader { channel_id: channel, sequence: 0, log_time, publish_time: log_time };
+        bag.write_to_known_channel(&header, &message.data).unwrap();
+    }
+    bag.finish().unwrap();
+    std::fs::write(file.path(), bag.into_inner().into_inner()).unwrap();
+}
+
+fn windows() -> [Window; 2] {
+    [Window::DETECTION, Window::new(100..=400).unwrap()]
+}
+
+/// Message of a laser scanner with steps of a quarter of a degree.
+fn of_other_laser(tenth: u64) -> Message {
+    let mut message = scan(Window::DETECTION, tenth);
+    // The increment follows the stamp, the frame and two angles.
+    message.data[4 + 8 + 12 + 8..][..4].copy_from_slice(&0.25_f32.to_radians().to_le_bytes());
+    message
+}
+
+#[test]
+fn a_bag_whose_window_changes_is_read_whole() {
+    let file = Scratch::mcap("windows");
+    let [first, second] = windows();
+    let messages = (0..60).map(|tenth| scan(if tenth < 10 { first } else { second }, tenth));
+    write(&file, messages);
+    let info = run(&format!("info {}", file.path()), 0).stdout;
+    let row = "scans          60: 10 of steps 44..=725, 50 of steps 100..=400\n";
+    assert!(info.contains(row) && info.contains("left out       none\n"), "{info}");
+    let check = run(&format!("check {}", file.path()), 0).stdout;
+    assert!(check.ends_with("\nall is well\n"), "{check}");
+    let stream = run(&format!("stream {} --rate max", file.path()), 0);
+    assert_eq!(scans(&stream.stdout).len(), 60);
+    assert!(!stream.stderr.contains("left out"), "{}", stream.stderr);
+}
+
+#[test]
+fn messages_that_are_no_scan_are_counted() {
+    let file = Scratch::mcap("left-out");
+    let mut messages: Vec<Message> = (0..20).map(|tenth| scan(Window::DETECTION, tenth)).collect();
+    messages[3].data.truncate(1000);
+    messages[7] = of_other_laser(7);
+    messages[8] = of_other_laser(8);
+    messages[9].data[1] = 9;
+    messages[12].topic = "/rear/scan";
+    write(&file, messages);
+    let laser = "2 scans of other laser scanners (the first: 682 points from -119.53° to 119.88° \
+                 every 0.250°)";
+    let others = "1 message cut short or malformed (/scan, 1000 bytes); \
+                  1 message in another encoding (/scan, CDR header 00 09)";
+    let info = run(&format!("info {}", file.path()), 0).stdout;
+    let row = format!("left out       {laser}; {others}; 1 scan on another topic (/rear/scan)\n");
+    assert!(
+        info.contains("scans          15 of steps 44..=725\n") && info.contains(&row),
+        "{info}"
+    );
+    let info = run(&format!("info {} --format json", file.path()), 0).stdout;
+    let info: Value = serde_json::from_str(&info).unwrap();
+    assert_eq!(info["left_out"][0]["reason"], "other_laser");
+    assert_eq!(info["left_out"][0]["messages"], 2);
+    let check = run(&format!("check {}", file.path()), 0).stdout;
+    assert!(check.contains(&format!("weak    left out {laser}; {others}")), "{check}");
+    assert!(check.ends_with("\nit works; weak: left out\n"), "{check}");
+    let stream = run(&format!("stream {} --rate max", file.path()), 0);
+    assert_eq!(scans(&stream.stdout).len(), 15);
+    let notice = format!("urg: {}: left out: {laser}; {others}\n", file.path());
+    assert!(stream.stderr.contains(&notice), "{}", stream.stderr);
+}
+
+#[test]
+fn a_bag_without_a_scan_is_named_for_what_it_is() {
+    let file = Scratch::mcap("no-scan");
+    write(&file, (0..5).map(of_other_laser));
+    for command in ["info", "check", "stream", "scan", "serve"] {
+        let line = failure(&format!("{command} {}", file.path()));
+        assert!(line.contains("5 scans of other laser scanners"), "{command}: {line}");
+    }
+    write(&file, (0..5).map(|tenth| Message { topic: "/old/scan", ..scan(windows()[0], tenth) }));
+    let line = failure(&format!("info {} --topic /old/scan", file.path()));
+    assert!(line.contains("5 messages of ROS 1 (the first: /old/scan)"), "{line}");
+    let line = failure(&format!("info {}", file.path()));
+    assert!(line.ends_with("; choose a topic: /old/scan\n"), "{line}");
+}
+
+#[test]
+fn times_that_do_not_advance_are_weak() {
+    let file = Scratch::mcap("times");
+    let tenth = |tenth: u64| Duration::from_millis(100 * tenth);
+    let check = |stamp: fn(u64) -> u64, log_time: fn(u64) -> u64| {
+        write(
+            &file,
+            (0..20).map(|number| Message {
+                log_time: tenth(log_time(number)),
+                ..of_frame(Window::DETECTION, "laser", number, tenth(stamp(number)))
+            }),
+        );
+        run(&format!("check {}", file.path()), 0).stdout
+    };
+    let well = check(|number| 50 + number, |number| number);
+    assert!(well.ends_with("\nall is well\n"), "{well}");
+    let same = check(|_| 0, |number| number);
+    let row = "weak    times    all 20 scans have the same stamp, 1970-01-01 00:00:00 UTC\n";
+    assert!(same.contains(row) && same.ends_with("\nit works; weak: times\n"), "{same}");
+    let backward = check(|number| 50 - number, |number| number);
+    assert!(backward.contains("19 stamps earlier than the one before"), "{backward}");
+    let without = check(|number| 100 * number, |_| 0);
+    assert!(
+        without.contains("times    all 20 scans have the same log time, 1970-01-01"),
+        "{without}"
+    );
+    assert!(without.contains("ok      gaps     not known without log times\n"), "{without}");
+    let backward = check(|number| number, |number| 50 - number);
+    assert!(backward.contains("19 log times earlier than the one before"), "{backward}");
+}
+
+#[test]
+fn scans_of_several_sensors_are_weak() {
+    let file = Scratch::mcap("frames");
+    let frame = |number: u64| ["front", "rear"][number as usize % 2];
+    let stamp = |number| Duration::from_millis(100 * number);
+    let messages =
+        (0..20).map(|number| of_frame(Window::DETECTION, frame(number), number, stamp(number)));
+    write(&file, messages);
+    let check = run(&format!("check {}", file.path()), 0).stdout;
+    assert!(check.contains("weak    sources  scans of 2 frames: front, rear\n"), "{check}");
+    assert!(check.ends_with("\nit works; weak: sources\n"), "{check}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn joined_recordings_of_two_sensors_are_weak() {
+    let [first, second, both] = ["one", "two", "both"].map(Scratch::mcap);
+    for (path, number) in [(&first, "H1"), (&second, "H2")] {
+        let mut recorder = Recorder::create(path.path()).unwrap();
+        let emulator = Emulator::builder().usb().serial_number(number).build();
+        let sensor = Sensor::builder().connect(emulator).await.unwrap();
+        let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+        recorder.describe(&sensor, &scans).await.unwrap();
+        recorder.record(&scans.next().await.unwrap()).unwrap();
+        recorder.finish().await.unwrap();
+    }
+    run(&format!("cut {} {} {}", first.path(), second.path(), both.path()), 0);
+    let check = run(&format!("check {}", both.path()), 0).stdout;
+    assert!(check.contains("weak    sources  scans of 2 sensors: H1, H2\n"), "{check}");
+}
