@@ -66,7 +66,7 @@ fn check_format(path: &Path) -> Result<(), RecordingError> {
     let found = match plain.rsplit_once('.').map(|(_, ending)| ending) {
         Some("db3") => "a ROS 2 bag in SQLite",
         Some("bag") => "a ROS 1 bag",
-        Some("mcap") if zstd => "an MCAP file that is compressed as a whole",
+        Some("mcap") if zstd => "one compressed as a whole",
         _ => return Ok(()),
     };
     Err(RecordingError::OtherFormat { path: path.to_owned(), found })

@@ -25,15 +25,10 @@ const TOPICS: [(&str, &str, &str); 9] = [
     ("/map", "nav_msgs/msg/OccupancyGrid", "cdr"),
 ];
 const TRANSFORMS: &str = "tf2_msgs/msg/TFMessage";
-/// What publishers offer, as rosbag2 writes it up to Iron and since Jazzy. The last three latch.
-const QOS: [&str; 6] = [
-    "",
-    "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 2\n  deadline:\n    sec: 1\n",
-    "- history: unknown\n  depth: 0\n  reliability: reliable\n  durability: volatile\n",
-    "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 1\n  deadline:\n    sec: 1\n",
-    "- history: unknown\n  durability: volatile\n- depth: 1\n  durability: transient_local\n",
-    "- durability: transient_local\n  history: keep_last",
-];
+/// Profiles of publishers by their durability, as rosbag2 writes it up to Iron and since Jazzy. The
+/// last three latch.
+const DURABILITIES: [&[&str]; 6] =
+    [&[], &["2"], &["volatile"], &["1"], &["volatile", "transient_local"], &["transient_local"]];
 
 pub(super) struct Bag {
     pub(super) bytes: Vec<u8>,
@@ -68,7 +63,7 @@ pub(super) fn bag(random: &mut Random) -> Bag {
             }
         };
         let id = (any(random, 3) - u64::from(number == 0)) as u16;
-        let qos = (*random.pick(&QOS)).to_owned();
+        let qos = random.pick(&DURABILITIES).iter().map(|durability| profile(durability)).collect();
         let qos = BTreeMap::from([("offered_qos_profiles".to_owned(), qos)]);
         writer.add_channel_with_id(id, schema, topic, encoding, &qos).unwrap();
         channels.push((id, name));
@@ -98,6 +93,19 @@ pub(super) fn bag(random: &mut Random) -> Bag {
     }
     writer.finish().unwrap();
     Bag { bytes: writer.into_inner().into_inner(), has_chunks, has_checksums }
+}
+
+/// Returns the profile of one publisher in YAML.
+fn profile(durability: &str) -> String {
+    let is_number = durability.len() == 1;
+    let [history, reliability, liveliness] =
+        if is_number { ["3", "1", "1"] } else { ["unknown", "reliable", "automatic"] };
+    let time = "\n    sec: 2147483647\n    nsec: 4294967295";
+    format!(
+        "- history: {history}\n  depth: 0\n  reliability: {reliability}\n  durability: {durability}\n  \
+         deadline:{time}\n  lifespan:{time}\n  liveliness: {liveliness}\n  \
+         liveliness_lease_duration:{time}\n  avoid_ros_namespace_conventions: false\n"
+    )
 }
 
 /// Returns a scan of a URG in any form of CDR that ROS writes: either byte order, with options, a
