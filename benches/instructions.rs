@@ -23,8 +23,7 @@ mod motor_clock;
 #[allow(dead_code)]
 mod stats {
     pub(crate) struct MotorStats {
-        pub(crate) revolution: Option<std::time::Duration>,
-        pub(crate) lateness: std::time::Duration,
+        pub(crate) revolution: std::time::Duration,
         pub(crate) jumps: u64,
     }
 }
@@ -85,9 +84,7 @@ fn motor(scans: usize) {
         let late = if scan % 16 == 0 { Duration::from_millis(5) } else { Duration::ZERO };
         // The next frame of USB.
         let arrival = Duration::from_millis(end.as_millis() as u64 + 1) + late;
-        // Moved requests prove that the sensor does not follow them.
-        let wait = if scan % 2 == 0 { 9 } else { 5 };
-        (start + (end - revolution * wait / 10), start + arrival)
+        (start + (end - revolution * 9 / 10), start + arrival)
     });
     let arrivals: Vec<_> = arrivals.collect();
     for (requested, arrived) in &arrivals[..scans] {

@@ -1,7 +1,6 @@
 //! How far `Scan::first_ray_at` and the arrival of each scan are from the truth: the moment at
 //! which the emulated motor ended the revolution, not when the emulated sensor wrote its reply.
-//! `-- busy [PROCESSES]` measures on a pseudo-terminal in real time, beside this number of
-//! processes that only compute. The threads of the emulated sensor have real-time priority.
+//! `-- busy [PROCESSES]` measures in real time, beside this number of processes that only compute.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -10,15 +9,11 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 use tokio_scip::scan::StampQuality;
-use tokio_scip::{BaudRate, Rate, Scan, Sensor, Window};
-use urg_emulator::{Emulator, EmulatorBuilder, Faults, Fixed, Pty};
+use tokio_scip::{Rate, Scan, Sensor, Window};
+use urg_emulator::{Emulator, EmulatorBuilder, Faults, Fixed};
 
 const HOUR: Duration = Duration::from_secs(3600);
-/// Measuring time on a pseudo-terminal. The driver finds the motor during `WARM_UP` before it.
 const REAL_TIME: Duration = Duration::from_secs(120);
-const WARM_UP: Duration = Duration::from_secs(30);
-/// Interval of USB's frames.
-const FRAME: Duration = Duration::from_millis(1);
 /// Part of a revolution between the first ray of the window and the rear.
 const TURNED: f64 = 1.0 - (128.0 + 44.0) / 1024.0;
 
@@ -30,18 +25,13 @@ fn main() {
         && busy == "busy"
     {
         let processes = processes.first().map_or(0, |processes| processes.parse().unwrap());
-        return on_a_terminal(processes);
+        return in_real_time(processes);
     }
     simulated("on USB, an hour", turning(), Rate::UNLIMITED, HOUR, 0);
     simulated("polled at 10 Hz, an hour", turning(), Rate::hz(10.0), HOUR, 0);
     let late = || turning().faults(Faults::none().late(0.2, Duration::from_millis(30)));
     simulated("20 % late by up to 30 ms, an hour", late(), Rate::UNLIMITED, HOUR, 0);
     simulated("5 Hz, an hour", turning(), Rate::hz(5.0), HOUR, 0);
-    simulated("1 Hz, 6 hours", turning(), Rate::hz(1.0), 6 * HOUR, 0);
-    for baud_rate in [BaudRate::B115200, BaudRate::B19200] {
-        let name = format!("RS-232 at {} baud, an hour", u32::from(baud_rate));
-        simulated(&name, turning().baud_rate(baud_rate), Rate::UNLIMITED, HOUR, 0);
-    }
     let drifting = turning().drift(0.001);
     simulated("a day, drift 0.1 % an hour, 50 jumps", drifting, Rate::UNLIMITED, 24 * HOUR, 50);
 }
@@ -50,7 +40,11 @@ fn main() {
 /// in whole milliseconds, as USB does.
 fn turning() -> EmulatorBuilder {
     let revolution = Duration::from_nanos(99_760_500);
-    Emulator::builder().world(Fixed::filled(1234)).revolution(revolution).log_capacity(4)
+    Emulator::builder()
+        .intact_usb()
+        .world(Fixed::filled(1234))
+        .revolution(revolution)
+        .log_capacity(4)
 }
 
 /// What was found about all scans of a row.
@@ -111,11 +105,7 @@ fn simulated(name: &str, sensor: EmulatorBuilder, rate: Rate, span: Duration, ju
     let runtime = runtime.enable_all().start_paused(true).build().unwrap();
     runtime.block_on(async {
         let emulator = sensor.build();
-        let mut opening = Sensor::builder();
-        if let Some(baud_rate) = emulator.baud_rate() {
-            opening = opening.baud_rate(baud_rate);
-        }
-        let sensor = opening.connect(emulator.clone()).await.unwrap();
+        let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
         let mut scans = sensor.scans(Window::DETECTION, rate).await.unwrap();
         let (start, mut row) = (Instant::now(), StampRow::default());
         let mut next_jump = start + span / (jumps + 1);
@@ -141,64 +131,26 @@ fn simulated(name: &str, sensor: EmulatorBuilder, rate: Rate, span: Duration, ju
     });
 }
 
-/// Measures a pseudo-terminal in real time, beside `processes` that only compute.
-fn on_a_terminal(processes: usize) {
+/// Measures in real time, beside `processes` that only compute.
+fn in_real_time(processes: usize) {
     let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
     println!("load before: {}", load.trim());
     let busy: Vec<BusyLoad> = (0..processes).map(|_| BusyLoad::start()).collect();
-    let emulator_runtime = tokio::runtime::Builder::new_multi_thread()
-        .worker_threads(1)
-        .enable_all()
-        .on_thread_start(run_in_real_time)
-        .build()
-        .unwrap();
-    let _guard = emulator_runtime.enter();
-    let emulator = turning().build();
-    let pty = Pty::open(&emulator, None).unwrap();
-    let path = pty.path().to_owned();
-    emulator_runtime.spawn(async move { pty.serve().await });
-    let waking = emulator.clone();
-    std::thread::spawn(move || send_in_frames(&waking));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
-        let sensor = Sensor::open(path.to_str().unwrap()).await.unwrap();
+        let emulator = turning().build();
+        let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
         let mut scans = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
         let (start, mut row) = (Instant::now(), StampRow::default());
-        while start.elapsed() < WARM_UP + REAL_TIME {
-            let scan = scans.next().await.unwrap().unwrap();
-            if start.elapsed() > WARM_UP {
-                row.add(&emulator, &scan);
-            }
+        while start.elapsed() < REAL_TIME {
+            row.add(&emulator, &scans.next().await.unwrap().unwrap());
         }
         row.most_worse = 0;
-        row.print(&format!("pseudo-terminal, {processes} busy processes"));
+        row.print(&format!("real time, {processes} busy processes"));
     });
     let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
     println!("load after: {}", load.trim());
     drop(busy);
-}
-
-/// Wakes the emulated sensor at each frame. By itself it waits for tokio's timers, which
-/// are late by up to two milliseconds.
-fn send_in_frames(emulator: &Emulator) {
-    run_in_real_time();
-    let start = std::time::Instant::now();
-    for frame in 1.. {
-        let next = start + FRAME * frame;
-        std::thread::sleep(next.saturating_duration_since(std::time::Instant::now()));
-        emulator.inject([]);
-    }
-}
-
-/// Gives this thread priority over all programs without it, so that the host delays the
-/// driver and not the sensor. Needs `chrt` and permission.
-fn run_in_real_time() {
-    let thread = std::fs::read_link("/proc/thread-self").unwrap();
-    let id = thread.file_name().unwrap();
-    let status = Command::new("chrt").args(["-f", "-p", "1"]).arg(id).status();
-    if !status.is_ok_and(|status| status.success()) {
-        println!("the emulated sensor runs without real-time priority: its delays count, too");
-    }
 }
 
 /// A process that computes until it is dropped.

@@ -20,6 +20,7 @@ use tokio_scip::BaudRate;
 #[must_use = "a builder does nothing until `build`"]
 pub struct EmulatorBuilder {
     device: Device,
+    is_intact: bool,
     timing: DeviceTiming,
     revolution: Duration,
     drift: f64,
@@ -57,6 +58,7 @@ impl Default for EmulatorBuilder {
                 is_laser_on: true,
                 baud_rate: None,
             },
+            is_intact: false,
             timing: DeviceTiming {
                 pace: Pace::default(),
                 latency: Duration::ZERO,
@@ -114,6 +116,13 @@ impl EmulatorBuilder {
     pub fn usb(mut self) -> Self {
         self.device.baud_rate = None;
         self
+    }
+
+    /// Puts the sensor on USB, where links say that every byte arrives as sent
+    /// ([`delivers_intact`](tokio_scip::port::PortHints::delivers_intact)): the driver then computes
+    /// stamps from the motor. Add no faults that change bytes.
+    pub fn intact_usb(self) -> Self {
+        Self { is_intact: true, ..self.usb() }
     }
 
     /// Puts the sensor on RS-232, at this baud rate until the first power cycle, and at
@@ -239,8 +248,18 @@ impl EmulatorBuilder {
     /// Powers up the sensor.
     #[must_use]
     pub fn build(self) -> Emulator {
-        let Self { device, timing, revolution, drift, world, playback, faults, seed, log_capacity } =
-            self;
+        let Self {
+            device,
+            is_intact,
+            timing,
+            revolution,
+            drift,
+            world,
+            playback,
+            faults,
+            seed,
+            log_capacity,
+        } = self;
         let world = world.unwrap_or_else(|| Box::new(Room::new(seed)));
         let faults = FaultInjector::new(faults, seed);
         let journal = Journal::new(log_capacity);
@@ -248,6 +267,7 @@ impl EmulatorBuilder {
         let motor = Motor::new(revolution, drift, now);
         let mut sensor = TimedDevice::new(device, world, timing, motor, faults, journal, now);
         sensor.playback = playback;
+        sensor.is_intact = is_intact;
         Emulator::new(sensor)
     }
 }

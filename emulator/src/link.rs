@@ -217,6 +217,11 @@ impl Port for Link {
 }
 
 impl PortHints for Link {
+    /// Returns true if [`EmulatorBuilder::intact_usb`](super::EmulatorBuilder::intact_usb) says so.
+    fn delivers_intact(&mut self) -> bool {
+        matches!(self.baud_rate, HostBaudRate::FollowsSensor) && self.shared.lock().sensor.is_intact
+    }
+
     /// Returns true after the last reply of a replayed recording.
     fn is_over(&mut self) -> bool {
         self.shared.lock().sensor.is_gone

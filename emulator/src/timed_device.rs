@@ -51,6 +51,8 @@ pub(super) struct TimedDevice {
     /// True if the script has ended, so that the sensor never comes back.
     pub(super) is_gone: bool,
     world: Box<dyn World>,
+    /// True if links on USB say that they deliver every byte as sent.
+    pub(super) is_intact: bool,
     /// Replies to play in place of the world's.
     pub(super) playback: Option<Playback>,
     timing: DeviceTiming,
@@ -95,6 +97,7 @@ impl TimedDevice {
             is_hung_up: false,
             is_gone: false,
             world,
+            is_intact: false,
             playback: None,
             timing,
             motor,

@@ -1,53 +1,18 @@
-//! [`MotorClock`]: estimates when each revolution of the motor ended. Its only input is when
-//! replies began to arrive.
+//! [`MotorClock`]: estimates when the motor's revolutions ended, from the arrivals of replies.
 //!
-//! A sensor begins its reply when a revolution ends. The host reads the first byte later:
-//! by up to a millisecond on USB, whose frames are that long, and by 30 ms where a busy
-//! host runs the driver late. The motor is steadier than any one of these times. In a
-//! capture of a URG-04LX the first bytes lie within 1.3 ms of a line with 99.7605 ms a
-//! revolution, 0.36 ms rms, where the firmware line promises 100 ms.
+//! On its own USB port a sensor begins its reply when a revolution ends. The host reads the first byte
+//! later: by up to a USB frame of 1 ms, and by 30 ms if a busy host runs the driver late. The motor is
+//! steadier: in a capture of a URG-04LX the first bytes are 0.36 ms (rms) from a line with 99.7605 ms a
+//! revolution, where the firmware line promises 100 ms.
 //!
-//! # The rule
-//!
-//! Fit a line to the arrivals: phase and period, by least squares. Two properties of the
-//! arrivals shape the fit:
-//!
-//! - An arrival is late, never early. One below the line weighs [`EARLY_WEIGHT`] times
-//!   one above it, so the line runs along the lower edge: for arrivals spread evenly over
-//!   a USB frame, at a seventh of the frame.
-//! - The period drifts with temperature and supply. The weights fade within [`MEMORY`].
-//!   At a drift of 0.1 % an hour the line lags by 40 µs, and one scan in ten seconds
-//!   still pins it to 0.3 ms.
-//!
-//! An arrival farther from the line than the gate is a misfit. The gate is the usual lateness plus
-//! the doubt of the line.
-//!
-//! # Late replies and jumps
-//!
-//! An arrival above the line by more than the gate is late, and changes nothing. But a jump of
-//! the phase also makes misfits. Misfits after a jump agree, and late replies scatter. So misfits vote:
-//! [`JUMP`] that agree, beyond those that do not, move the line. The sensor answers when the first
-//! revolution after a request ends. An arrival that no revolution since its request explains is
-//! early, and moves the line at once. Neither changes the period.
-//!
-//! # Whether to use the line
-//!
-//! A wrong line is worse than no line. The arrivals may lie on a line that is not the motor's:
-//!
-//! - A sensor that answers at once follows its requests. So the driver moves some polls
-//!   ([`Revolution::delay`]). If the replies do not move with them, [`PROVED`] times more often
-//!   than they do, the line is the motor's. Polls more than a revolution apart also move by up
-//!   to two whole ones, which shows a multiple of the period.
-//! - An adapter with a latency timer, long frames or a jittery network moves the lower edge. Each
-//!   early arrival and each jump casts doubt, and so does a start. Until then misfits add more.
-//! - On a very busy host most replies are late, and with a wrong nominal period they spread over the
-//!   revolution. So the part that fits must be [`STEADY`].
-//! - If the doubt of the line grows to a quarter of a revolution between two replies,
-//!   nothing tells how many revolutions lie between them. The fit then starts again. With
-//!   the nominal period this happens below one reply every three seconds, and always after
-//!   [`LONGEST_GAP`].
-//!
-//! The model in `motor_clock/model.rs` shows what all this is worth.
+//! - The clock fits a line to the arrivals by least squares. Early arrivals weigh more, so the line runs
+//!   along the earliest ones.
+//! - An arrival farther from the line than the gate is a misfit, and does not move the line. Late
+//!   replies scatter, but misfits after a jump of the phase agree: [`JUMP`] of them move the line.
+//! - The line is used while most of the recent replies fit. The stamp of one late reply rests on the
+//!   line. Once two misfits agree, stamps rest on the arrivals until the line has moved.
+//! - A sensor that answers at once follows the polls. So the line is used only after several replies
+//!   have followed the motor: they waited for long, or moved within the time between two polls.
 
 // With their paths, because a benchmark includes this file.
 #[cfg(test)]
@@ -64,80 +29,39 @@ use tokio::time::Instant;
 use crate::stats::MotorStats;
 
 /// Time constant of the fit in seconds.
-const MEMORY: f64 = 12.0;
+const MEMORY: f64 = 6.0;
 /// Weight of an arrival below the line. An arrival above it has weight 1.
 const EARLY_WEIGHT: f64 = 40.0;
-/// Standard deviation of the nominal period: the only motor in a capture is off by 0.24 %.
-const NOMINAL_DOUBT: f64 = 0.003;
-/// Largest difference between the period and the nominal one. No motor is so far off, so
-/// larger differences mean that the arrivals follow something else.
+/// Standard deviation in seconds of arrivals that USB delays by up to a frame.
+const DEVIATION: f64 = 0.3e-3;
+/// The gate in seconds, without the uncertainty of the line.
+const GATE: f64 = 1.5e-3;
+/// Standard deviation of the nominal period, and largest difference from it, as parts of it.
+const NOMINAL_DEVIATION: f64 = 0.003;
 const LARGEST_DIFFERENCE: f64 = 0.02;
-/// Usual lateness in seconds until it is measured, and limits of the measured one: the
-/// read of a quiet host, and three quarters of a USB frame.
-const USUAL_LATENESS: f64 = 0.5e-3;
-const LATENESS_LIMITS: (f64, f64) = (0.05e-3, 0.7e-3);
-/// Part of the gate that does not depend on the usual lateness, in seconds.
-const LEAST_GATE: f64 = 0.15e-3;
-/// Number of replies that must fit before the line counts.
-const ENOUGH: u32 = 8;
-/// Number of misfits that agree, beyond those that do not, which are a jump of the phase.
+/// The fit starts again after a pause of this many seconds.
+const LONGEST_PAUSE: f64 = 10.0;
+/// Number of agreeing misfits, less the others, that are a jump of the phase.
 const JUMP: u32 = 5;
-/// A misfit rests on the line only if late replies come more often than once in this many seconds:
-/// otherwise it may be of a jump.
-const RARE: f64 = 30.0;
-/// The period counts as known if its error is below 0.01 % at this many standard
-/// deviations, as far as the arrivals show. The arrivals of a USB sensor are not independent samples: they step through
-/// its frames.
-const PERIOD_SIGMAS: f64 = 5.0;
-const PERIOD_ERROR: f64 = 1e-4;
-/// Least duration of a line whose period is known, in seconds. Frames of 16 ms that nothing shows
-/// then bend it by less than 0.1 %.
-const LEAST_DURATION: f64 = 20.0;
-/// Longest time between two replies of one line, in seconds: a drift of 3 % an hour changes the
-/// period by 0.05 % meanwhile.
-const LONGEST_GAP: f64 = 60.0;
-/// Part of the replies that fit: at the start, its least value for a line that is used, and the
-/// value below which the fit starts again. One reply in 20 fits any line by chance.
-const USUAL_SHARE: f64 = 0.5;
-const STEADY: f64 = 0.7;
-const LEAST_SHARE: f64 = 0.1;
-/// Number of replies over which the part is averaged.
-const SHARE_REPLIES: f64 = 128.0;
-/// Number of fitting replies before a line is used: at the start, and after a jump. These add up to
-/// [`MOST_DOUBT`], and until then each misfit adds [`DOUBT_BY_MISFIT`]. A move by less than
-/// [`EARLY`] casts all: the line may follow frames, and moves again.
-const DOUBT_AT_START: u32 = 256;
-const DOUBT: u32 = 512;
-const DOUBT_BY_MISFIT: u32 = 2;
-const MOST_DOUBT: u32 = 4 * DOUBT;
-/// An arrival up to this many seconds below the line is early, not late by nearly a revolution.
-/// It exceeds the latency timer of an FTDI adapter, 16 ms.
-const EARLY: f64 = 0.018;
-/// An arrival nearer to the line than this is no reason for doubt: two USB frames of 1 ms.
-const NEAR_LINE: f64 = 2e-3;
-/// Polls less than a revolution apart move by this part of the latest reply's wait.
-const MOVED_PART: f64 = 0.5;
-/// Other polls move by these numbers of revolutions, in turn.
-const MOVED_TURNS: [f64; 6] = [0.4, 1.6, 2.4, 0.6, 1.4, 2.6];
-/// Least move that shows what the reply follows, in seconds. A latency timer of 16 ms hides a smaller
-/// one.
-const LEAST_MOVE: f64 = 0.024;
-/// A reply follows the poll or the motor if it is at most this many seconds from where either puts it.
-const FOLLOWS: f64 = 0.004;
-/// Number of moved replies that prove a line, less those that speak against it.
-const PROVED: i8 = 12;
-/// Largest number of polls to move. Each costs up to three revolutions.
-const MOST_MOVES: u8 = 40;
+/// Part of the recent replies that fit: of a line in use, and at most without replies that follow the
+/// motor. 13 replies in a row reach the first, 8 the second.
+const USED: f64 = 0.55;
+const UNPROVED: f64 = 0.4;
+const RECENT: f64 = 16.0;
+/// A reply follows the motor if it waited for this many seconds, or if its time after the poll moved
+/// by this many.
+const LONG_WAIT: f64 = 0.02;
+const MOVED: f64 = 0.004;
+/// Most revolutions between two such replies: fewer replies may show a multiple of the period.
+const MOST_TURNS: f64 = 2.0;
 
 /// What a reply shows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Revolution {
     /// Time from the end of the revolution on the line to the arrival of the reply.
     pub(crate) lateness: Option<Duration>,
-    /// Duration of a revolution, once it is known.
+    /// Duration of a revolution, while the line is used.
     pub(crate) period: Option<Duration>,
-    /// How much later than due to send the next poll: its reply tells what replies follow.
-    pub(crate) delay: Duration,
 }
 
 /// Line through the ends of revolutions. Its times are in seconds from `origin`.
@@ -147,353 +71,135 @@ pub(crate) struct MotorClock {
     /// Seconds per revolution: from the firmware line, and as fitted.
     nominal: f64,
     period: f64,
-    /// The fitted period, while it is known.
-    known_period: Option<Duration>,
-    /// End of the latest revolution on the line, if there is one.
-    latest: Option<f64>,
-    /// When the line began.
-    since: f64,
-    /// Sums of `w`, `w x` and `w x²` over all replies, with their weights `w` and their
-    /// distances `x` from `latest` in revolutions.
+    /// End of the latest revolution on the line.
+    end: f64,
+    /// Sums of `w`, `w x` and `w x²` over all replies, with their weights `w` and their distances `x`
+    /// from `end` in revolutions.
     sums: [f64; 3],
-    /// Mean lateness of fitting replies, in seconds.
-    lateness: f64,
-    /// Number of replies that fit the line.
-    fitting: u32,
     /// Part of the recent replies that fit.
-    share: f64,
-    counted: f64,
-    /// Number of fitting replies until the line is used.
-    doubt: u32,
-    misfits: Misfits,
+    fitting: f64,
+    /// Time from the poll to the end of the revolution before a reply followed the motor.
+    wait: f64,
+    /// How late most recent misfits are, and their votes (the majority vote of Boyer and Moore).
+    misfits: (f64, u32),
     jumps: u64,
-    proof: Proof,
-}
-
-/// Misfits since the latest fitting reply, and the lag behind the line, in seconds, on which most
-/// of them agree (the majority vote of Boyer and Moore).
-#[derive(Debug, Clone, Copy, Default)]
-struct Misfits {
-    in_a_row: u32,
-    lag: f64,
-    votes: u32,
-}
-
-/// Whether replies follow the motor or their requests.
-#[derive(Debug, Clone, Default)]
-struct Proof {
-    /// Times of the latest request and arrival, and revolutions between the latest arrivals.
-    exchange: (f64, f64),
-    turns: [f64; 2],
-    /// Number of replies that did not follow a moved poll, less those that did.
-    votes: i8,
-    /// True if the next poll is moved.
-    is_moved: bool,
-    /// True if the latest reply is of a moved poll: the next one that is not moved is compared with it.
-    is_compared: bool,
-    /// Number of polls moved so far.
-    moves: u8,
-}
-
-/// Sums of [`MotorClock`], and their determinant, which is the same from any point.
-#[derive(Debug, Clone, Copy)]
-struct Moments {
-    sums: [f64; 3],
-    determinant: f64,
 }
 
 impl MotorClock {
     /// Creates a clock of a motor whose revolution nominally takes this long.
     pub(crate) fn new(nominal: Duration) -> Self {
-        let nominal = nominal.as_secs_f64();
-        Self {
-            origin: Instant::now(),
-            nominal,
-            period: nominal,
-            known_period: None,
-            latest: None,
-            since: 0.0,
-            sums: [0.0; 3],
-            lateness: USUAL_LATENESS,
-            fitting: 0,
-            share: USUAL_SHARE,
-            counted: f64::from(ENOUGH),
-            doubt: DOUBT_AT_START,
-            misfits: Misfits::default(),
-            jumps: 0,
-            proof: Proof::default(),
-        }
+        let (origin, nominal) = (Instant::now(), nominal.as_secs_f64());
+        let (period, sums, misfits) = (nominal, [0.0; 3], (0.0, 0));
+        Self { origin, nominal, period, end: 0.0, sums, fitting: 0.0, wait: 0.0, misfits, jumps: 0 }
     }
 
-    /// Adds a reply whose first byte arrived at `arrived`. Its revolution ended before.
+    /// Adds a reply whose first byte arrived at `arrived`.
     pub(crate) fn observe(&mut self, requested: Instant, arrived: Instant) -> Revolution {
-        let (requested, arrived) = (self.seconds(requested), self.seconds(arrived));
-        self.proof.compare(requested, arrived, self.period);
-        let mut revolution = self.place(requested, arrived);
-        if self.proof.votes < PROVED && self.fitting >= ENOUGH {
-            revolution.delay = duration(self.proof.delay(arrived - requested, self.period));
-        }
-        revolution
-    }
-
-    /// Finds the place of a reply on the line, or moves the line.
-    #[inline]
-    fn place(&mut self, requested: f64, arrived: f64) -> Revolution {
-        let Some(latest) = self.latest else { return self.start(arrived) };
-        let since = arrived - latest;
+        let seconds = |at: Instant| at.saturating_duration_since(self.origin).as_secs_f64();
+        let (requested, arrived) = (seconds(requested), seconds(arrived));
+        let since = arrived - self.end;
         // Rounds without a call of libm.
         let turns = ((since / self.period + 0.5) as i64) as f64;
         let lag = since - turns * self.period;
-        let moments = self.moments(since, turns);
-        let gate = self.gate(moments);
-        match () {
-            // Not a number if rounding has made the determinant negative.
-            () if gate.is_nan() || gate >= self.period / 4.0 || since > LONGEST_GAP => {
-                self.start(arrived)
-            }
-            () if lag.abs() <= gate => self.fit(moments, arrived, lag),
-            () => self.misfit(requested, arrived, lag, gate),
+        let [w, wx, wxx] = self.sums_at(since, turns);
+        // Not a number without a line, or if rounding has made the determinant negative.
+        let gate = GATE + 3.0 * DEVIATION * (wxx / (w * wxx - wx * wx)).sqrt();
+        if gate.is_nan() || gate > self.period / 4.0 || since > LONGEST_PAUSE {
+            return self.start(arrived);
         }
-    }
-
-    /// What is known about the motor, once there is a line.
-    pub(crate) fn stats(&self) -> Option<MotorStats> {
-        self.has_line().then(|| MotorStats {
-            revolution: self.known_period.filter(|_| self.is_known()),
-            lateness: duration(self.lateness),
-            jumps: self.jumps,
-        })
-    }
-
-    /// Seconds from `origin`.
-    fn seconds(&self, at: Instant) -> f64 {
-        at.saturating_duration_since(self.origin).as_secs_f64()
-    }
-
-    /// The sums, faded after `since`, with their distances from a point that is `turns`
-    /// revolutions ahead.
-    fn moments(&self, since: f64, turns: f64) -> Moments {
-        let fade = 1.0 / (1.0 + since.max(0.0) / MEMORY);
-        let [w, wx, wxx] = self.sums.map(|sum| sum * fade);
-        let determinant = w * wxx - wx * wx;
-        let ahead = wx - turns * w;
-        Moments { sums: [w, ahead, wxx - turns * (wx + ahead)], determinant }
-    }
-
-    /// An arrival further from the line than this does not fit.
-    fn gate(&self, Moments { sums: [.., wxx], determinant }: Moments) -> f64 {
-        let doubt = self.lateness * (wxx / determinant).sqrt();
-        2.5 * self.lateness + LEAST_GATE + 3.0 * doubt
-    }
-
-    /// Adds a reply that arrived `lag` after the line.
-    fn fit(&mut self, moments: Moments, arrived: f64, lag: f64) -> Revolution {
-        self.misfits = Misfits::default();
-        self.update_share(1.0);
-        self.fitting += 1;
-        self.doubt = self.doubt.saturating_sub(1);
+        if lag.abs() > gate {
+            return self.judge_misfit(requested, arrived, lag, gate);
+        }
+        self.misfits = (0.0, 0);
         // While the period is unknown, an early arrival says nothing about the edge.
-        let is_edge = lag < 0.0 && self.fitting > ENOUGH;
-        let weight = if is_edge { EARLY_WEIGHT } else { 1.0 };
-        let [w, wx, wxx] = moments.sums;
-        let determinant = moments.determinant + weight * wxx;
-        let gain = weight * lag / determinant;
+        let weight = if lag < 0.0 && self.is_used() { EARLY_WEIGHT } else { 1.0 };
         self.sums = [w + weight, wx, wxx];
-        let (least, most) = LATENESS_LIMITS;
-        self.lateness = (self.lateness + (lag.abs() - self.lateness) / 32.0).clamp(least, most);
+        let gain = weight * lag / ((w + weight) * wxx - wx * wx);
         self.period -= wx * gain;
         if (self.period - self.nominal).abs() > LARGEST_DIFFERENCE * self.nominal {
             return self.start(arrived);
         }
-        let end = arrived - lag + wxx * gain;
-        self.latest = Some(end);
-        self.judge_period(determinant);
-        self.on_line(end, arrived)
+        self.end = arrived - lag + wxx * gain;
+        self.count_fit(turns, self.end - requested);
+        self.revolution(Some(arrived - self.end))
+    }
+
+    /// What is known about the motor, while the line is used.
+    pub(crate) fn stats(&self) -> Option<MotorStats> {
+        self.is_used().then(|| MotorStats { revolution: duration(self.period), jumps: self.jumps })
+    }
+
+    fn is_used(&self) -> bool {
+        self.fitting >= USED
+    }
+
+    /// Returns the sums, faded after `since`, with distances from `turns` revolutions ahead.
+    fn sums_at(&self, since: f64, turns: f64) -> [f64; 3] {
+        let fade = 1.0 / (1.0 + since.max(0.0) / MEMORY);
+        let [w, wx, wxx] = self.sums.map(|sum| sum * fade);
+        let ahead = wx - turns * w;
+        [w, ahead, wxx - turns * (wx + ahead)]
+    }
+
+    /// Counts a reply that fits. Its revolution ended `wait` seconds after the poll.
+    fn count_fit(&mut self, turns: f64, wait: f64) {
+        let is_unproved = self.fitting < UNPROVED;
+        if is_unproved {
+            self.wait = wait;
+        }
+        // A reply that is late by a whole revolution has not moved.
+        let moved = (wait - self.wait) / self.period;
+        let has_moved = (moved - moved.round()).abs() * self.period > MOVED;
+        let follows_motor = (1.0..=MOST_TURNS).contains(&turns) && (wait > LONG_WAIT || has_moved);
+        if is_unproved || self.is_used() || follows_motor {
+            self.fitting += (1.0 - self.fitting) / RECENT;
+        }
     }
 
     /// Judges a reply that does not fit: it is late unless the phase has changed.
     #[cold]
-    fn misfit(&mut self, requested: f64, arrived: f64, lag: f64, gate: f64) -> Revolution {
-        self.update_share(0.0);
+    fn judge_misfit(&mut self, requested: f64, arrived: f64, lag: f64, gate: f64) -> Revolution {
+        let was_used = self.is_used();
+        self.fitting -= self.fitting / RECENT;
         let late = if lag < 0.0 { lag + self.period } else { lag };
+        let (agreed, votes) = self.misfits;
+        self.misfits = match votes {
+            0 => (late, 1),
+            _ if (late - agreed).abs() > gate => (agreed, votes - 1),
+            _ => (agreed + (late - agreed) / f64::from(votes + 1), votes + 1),
+        };
+        let (agreed, votes) = self.misfits;
         let end = arrived - late;
-        let is_early = lag < 0.0 && lag > -EARLY;
-        if self.doubt > 0 {
-            self.add_doubt(DOUBT_BY_MISFIT);
+        if votes == JUMP {
+            self.jumps += u64::from(was_used);
+            self.set_phase(end + agreed, JUMP.into());
         }
-        if is_early {
-            self.doubt_move(lag);
-        }
-        if self.share < LEAST_SHARE {
-            return self.start(arrived);
-        }
-        let is_rare = self.proof.turns[1] * self.period > RARE * (1.0 - self.share);
-        let misfits = &mut self.misfits;
-        misfits.in_a_row += 1;
-        match misfits.votes {
-            0 => (misfits.lag, misfits.votes) = (late, 1),
-            _ if (late - misfits.lag).abs() <= gate => {
-                misfits.lag = misfits.lag.min(late);
-                misfits.votes += 1;
-            }
-            _ => misfits.votes -= 1,
-        }
-        let Misfits { in_a_row, lag: agreed, votes } = *misfits;
-        let may_be_jump = votes > 1 || in_a_row > 2 || is_rare;
-        match () {
-            // No revolution since the request explains it.
-            () if end < requested => self.jump(arrived, lag, 1.0),
-            () if votes == JUMP => self.jump(end + agreed, agreed, f64::from(votes)),
-            () if is_early || may_be_jump || end - requested >= self.period => self.at_arrival(),
-            () => self.on_line(end, arrived),
-        }
-    }
-
-    /// Moves the line by `lag`, to a revolution that ended at `end`.
-    fn jump(&mut self, end: f64, lag: f64, weight: f64) -> Revolution {
-        self.doubt_move(lag);
-        // A second jump this soon means that the period is wrong, too.
-        if self.fitting < ENOUGH {
-            return self.start(end);
-        }
-        self.jumps += 1;
-        self.set_phase(end, weight);
-        self.at_arrival()
+        // The sensor answers when the first revolution after a poll ends.
+        let is_late = lag > 0.0 && votes < 2 && (0.0..self.period).contains(&(end - requested));
+        self.revolution(is_late.then_some(late))
     }
 
     /// Starts the fit again with one arrival and the nominal period.
     fn start(&mut self, arrived: f64) -> Revolution {
-        self.period = self.nominal;
-        self.lateness = USUAL_LATENESS;
-        (self.share, self.counted) = (USUAL_SHARE, f64::from(ENOUGH));
-        self.sums = [0.0; 3];
+        (self.period, self.fitting, self.sums) = (self.nominal, 0.0, [0.0; 3]);
         self.set_phase(arrived, 1.0);
-        self.at_arrival()
+        Revolution::default()
     }
 
-    /// Moves the line to a new phase, and keeps the fitted period.
+    /// Moves the line to a new phase, and keeps what is known about the period.
     fn set_phase(&mut self, end: f64, weight: f64) {
         let [w, wx, wxx] = self.sums;
         let known = if w > 0.0 { wxx - wx * wx / w } else { 0.0 };
-        let doubt = NOMINAL_DOUBT * self.nominal / USUAL_LATENESS;
-        self.sums = [weight, 0.0, known.max(1.0 / (doubt * doubt))];
-        self.latest = Some(end);
-        self.since = end;
-        self.fitting = 0;
-        self.misfits = Misfits::default();
-        self.known_period = None;
+        let deviation = NOMINAL_DEVIATION * self.nominal / DEVIATION;
+        self.sums = [weight, 0.0, known.max(1.0 / (deviation * deviation))];
+        (self.end, self.misfits) = (end, (0.0, 0));
     }
 
-    fn update_share(&mut self, fits: f64) {
-        self.counted = (self.counted + 1.0).min(SHARE_REPLIES);
-        self.share += (fits - self.share) / self.counted;
+    fn revolution(&self, lateness: Option<f64>) -> Revolution {
+        let period = Some(duration(self.period));
+        let used = Revolution { lateness: lateness.map(duration), period };
+        if self.is_used() { used } else { Revolution::default() }
     }
-
-    fn add_doubt(&mut self, more: u32) {
-        self.doubt = (self.doubt + more).min(MOST_DOUBT);
-    }
-
-    /// Doubts the line after it moved by `lag`, or should.
-    fn doubt_move(&mut self, lag: f64) {
-        if lag.abs() > NEAR_LINE {
-            self.add_doubt(if lag.abs() < EARLY { MOST_DOUBT } else { DOUBT });
-        }
-    }
-
-    fn has_line(&self) -> bool {
-        self.proof.votes == PROVED && self.fitting >= ENOUGH
-    }
-
-    /// Returns true if stamps rest on the line.
-    fn is_known(&self) -> bool {
-        self.has_line() && self.doubt == 0 && self.share >= STEADY
-    }
-
-    /// Decides whether the period is known, after a change of the line.
-    fn judge_period(&mut self, determinant: f64) {
-        let [w, ..] = self.sums;
-        let sigmas = PERIOD_SIGMAS * self.lateness;
-        let error = PERIOD_ERROR * self.period;
-        let lasted = self.latest.map_or(0.0, |latest| latest - self.since);
-        // Both sides squared, which saves the square root of the variance.
-        let is_known = self.is_known()
-            && lasted > LEAST_DURATION
-            && sigmas * sigmas * w < error * error * determinant;
-        self.known_period = is_known.then(|| duration(self.period));
-    }
-
-    fn on_line(&self, end: f64, arrived: f64) -> Revolution {
-        if !self.is_known() {
-            return Revolution::default();
-        }
-        Revolution { lateness: Some(duration(arrived - end)), ..self.at_arrival() }
-    }
-
-    fn at_arrival(&self) -> Revolution {
-        Revolution {
-            period: self.known_period.filter(|_| self.is_known()),
-            ..Revolution::default()
-        }
-    }
-}
-
-impl Proof {
-    /// How much later to send the next poll, which would wait as long for its reply as the latest one
-    /// `waited`.
-    fn delay(&mut self, waited: f64, period: f64) -> f64 {
-        let turns = MOVED_TURNS.get(usize::from(self.moves) % MOVED_TURNS.len());
-        let delay = match turns.filter(|_| self.skips_revolutions()) {
-            Some(turns) => turns * period,
-            None => MOVED_PART * waited.min(period),
-        };
-        if self.votes.abs() >= PROVED
-            || self.is_compared
-            || self.moves == MOST_MOVES
-            || delay < 1.1 * LEAST_MOVE
-        {
-            return 0.0;
-        }
-        self.moves += 1;
-        self.is_moved = true;
-        delay
-    }
-
-    /// Compares how far request and reply moved within the revolution since the ones before. A
-    /// sensor that answers at once moves both by the same time.
-    fn compare(&mut self, requested: f64, arrived: f64, period: f64) {
-        let (before, answered) = std::mem::replace(&mut self.exchange, (requested, arrived));
-        self.turns = [self.turns[1], (arrived - answered) / period];
-        // Polls on a grid may show each second or third revolution: only other ones tell.
-        self.is_compared = std::mem::take(&mut self.is_moved);
-        let is_told = self.is_compared || !self.skips_revolutions();
-        if self.votes == PROVED || !is_told {
-            return;
-        }
-        let moved = part((requested - before) / period);
-        if moved.abs() * period <= LEAST_MOVE {
-            return;
-        }
-        let followed = part((arrived - answered) / period);
-        let is_near = |part: f64| part.abs() * period < FOLLOWS;
-        let vote = match () {
-            () if is_near(followed) => 1,
-            () if is_near(part(followed - moved)) => -2,
-            () if self.skips_revolutions() => -2,
-            () => 0,
-        };
-        self.votes = (self.votes + vote).clamp(-PROVED, PROVED);
-    }
-
-    /// Returns true if some recent replies were more than a revolution apart.
-    fn skips_revolutions(&self) -> bool {
-        let [before, latest] = self.turns;
-        before + latest > 3.0
-    }
-}
-
-/// Part of a revolution, from -0.5 to 0.5.
-fn part(turns: f64) -> f64 {
-    turns - turns.round()
 }
 
 /// Duration of these seconds, or zero if they are negative.

@@ -9,7 +9,7 @@ use tokio::time::Instant;
 use super::baud_rate;
 use super::failure::{ExchangeError, LinkError};
 use super::laser::{Laser, Refusal};
-use super::motor_clock::{MotorClock, Revolution};
+use super::motor_clock::MotorClock;
 use super::request::{Abandoned, Request, RequestQueue, Responder};
 use super::schedule::{DuePoll, Ended, Schedules};
 use super::session::{Polled, Session};
@@ -77,9 +77,8 @@ pub(crate) struct Service<'a> {
     pub(crate) scan_time: Duration,
     /// Silence after which an idle link is probed with a fence, if it is.
     pub(crate) probe_interval: Option<Duration>,
-    pub(crate) motor_clock: MotorClock,
-    /// How much later than due to send the next poll.
-    pub(crate) poll_delay: Duration,
+    /// On the sensor's own USB port.
+    pub(crate) motor_clock: Option<MotorClock>,
     /// Number of times the sensor had been found again before this session.
     pub(crate) reconnects: u64,
     /// True if scans are polled, as the state reports it.
@@ -347,10 +346,6 @@ impl Service<'_> {
         {
             self.timer.wait(copies_end).await;
         }
-        // Few polls of a session: they show whether replies follow the motor.
-        if !self.poll_delay.is_zero() {
-            self.timer.wait(Instant::now() + self.poll_delay).await;
-        }
         let mut polled = session.poll(poll.window).await;
         if let Err(failure) = polled {
             polled = Box::pin(self.poll_again(session, poll.window, failure)).await;
@@ -443,14 +438,13 @@ impl Service<'_> {
     fn scan_from(&mut self, window: Window, polled: Polled, timing: &Timing) -> Scan {
         self.laser.record_scan(window);
         let Polled { values, first } = polled;
-        let revolution = match timing.is_replayed {
-            true => Revolution::default(),
-            false => self.motor_clock.observe(timing.requested, timing.began),
-        };
-        self.poll_delay = revolution.delay;
+        let clock = self.motor_clock.as_mut().filter(|_| !timing.is_replayed);
+        let (revolution, motor) = clock.map_or_else(Default::default, |clock| {
+            (clock.observe(timing.requested, timing.began), clock.stats())
+        });
         let mut stats = self.telemetry.stats();
         stats.scanned(timing.requested, timing.received);
-        stats.motor = self.motor_clock.stats();
+        stats.motor = motor;
         drop(stats);
         let meta = ScanMeta {
             sequence: 0,

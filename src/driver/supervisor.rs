@@ -8,7 +8,6 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::task::Poll;
-use std::time::Duration;
 
 use tokio::time::Instant;
 
@@ -140,8 +139,7 @@ impl Supervisor {
             telemetry: &self.telemetry,
             scan_time,
             probe_interval,
-            motor_clock: MotorClock::new(scan_time),
-            poll_delay: Duration::ZERO,
+            motor_clock: session.transport.delivers_intact().then(|| MotorClock::new(scan_time)),
             reconnects,
             streaming: false,
             timer: Timer::default(),

@@ -62,10 +62,12 @@ pub trait PortHints {
 
     /// Returns true if every byte arrives as the sensor sent it, as on the sensor's own USB port,
     /// whose packets have a checksum. The driver then reads the serial number of a new sensor once,
-    /// otherwise twice. Default: `false`.
+    /// otherwise twice, and computes stamps from the motor
+    /// ([`StampQuality::Motor`](crate::scan::StampQuality::Motor)). Default: `false`.
     ///
-    /// If you wrongly return `true`, the driver may expect a damaged serial number from then on. If
-    /// you wrongly return `false`, the first scan comes one revolution later.
+    /// If you wrongly return `true`, the driver may expect a damaged serial number from then on, and
+    /// stamps may follow delays of your transport. If you wrongly return `false`, the first scan
+    /// comes one revolution later, and all stamps rest on arrivals.
     fn delivers_intact(&mut self) -> bool {
         false
     }

@@ -15,7 +15,8 @@ pub enum StampQuality {
     /// Arrival of this scan alone. A busy host and the frames of USB make it late.
     #[default]
     Arrival,
-    /// Motor of the sensor, as the driver knows it from the arrivals so far.
+    /// Motor of the sensor, as the driver knows it from the arrivals so far. Only on the sensor's own
+    /// USB port.
     Motor,
 }
 
@@ -69,7 +70,7 @@ impl Scan {
     /// - by a delay common to all scans, between the end of the revolution and the
     ///   arrival of the first byte: on USB one or two milliseconds. You can only find it by
     ///   a measurement with the sensor ([`guide::time`](crate::guide::time));
-    /// - with [`StampQuality::Motor`] by 0.3 ms more, on USB;
+    /// - with [`StampQuality::Motor`], which only a sensor's own USB port has, by 0.5 ms more;
     /// - with [`StampQuality::Arrival`] by a USB frame (1 ms), and by the time that a
     ///   busy host does not run the driver. A sensor that answers at once from its memory,
     ///   as it may on RS-232, ended the revolution up to one `scan_time` earlier, on
@@ -112,8 +113,9 @@ impl Scan {
         Duration::from_secs_f64(self.increment())
     }
 
-    /// Time of one revolution of the motor: the measured time, once it is known to 0.1 %,
-    /// before that the nominal time from the sensor's firmware line, or else 100 ms (600 rpm).
+    /// Time of one revolution of the motor: measured to 0.1 % while stamps rest on the motor
+    /// ([`StampQuality::Motor`]), otherwise the nominal time from the sensor's firmware line, or else
+    /// 100 ms (600 rpm).
     pub fn scan_time(&self) -> Duration {
         self.meta.scan_time
     }

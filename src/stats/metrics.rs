@@ -144,10 +144,8 @@ impl Stats {
         }
         if let Some(motor) = motor {
             let help = "Measured time of a revolution of the motor";
-            let revolution = motor.revolution.map(|revolution| revolution.as_secs_f64());
-            all.extend(revolution.map(|it| gauge("urg_motor_revolution_seconds", help, it)));
-            let help = "Mean time from the end of a revolution to the arrival of its scan";
-            all.push(gauge("urg_motor_lateness_seconds", help, motor.lateness.as_secs_f64()));
+            let revolution = motor.revolution.as_secs_f64();
+            all.push(gauge("urg_motor_revolution_seconds", help, revolution));
             let help = "Jumps of the motor's phase since the link was found";
             all.push(gauge("urg_motor_jumps", help, motor.jumps as f64));
         }

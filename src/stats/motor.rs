@@ -2,18 +2,15 @@
 
 use std::time::Duration;
 
-/// Motor of the sensor, measured from the arrivals of replies: see
+/// Motor of the sensor, measured from the arrivals of replies on its own USB port: see
 /// [`guide::time`](crate::guide::time).
 ///
-/// As data (feature `serde`) it has `jumps`, and in seconds `revolution` and `lateness`.
+/// As data (feature `serde`) it has `revolution` in seconds, and `jumps`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct MotorStats {
-    /// Duration of a revolution, once it is known to 0.1 %.
-    pub revolution: Option<Duration>,
-    /// Mean time from the end of a revolution to the arrival of its scan. Excludes the
-    /// delay common to all scans, and scans that arrived unusually late.
-    pub lateness: Duration,
+    /// Duration of a revolution.
+    pub revolution: Duration,
     /// Number of times that the phase of the motor jumped since the link was found.
     pub jumps: u64,
 }
@@ -22,10 +19,8 @@ pub struct MotorStats {
 impl serde::Serialize for MotorStats {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         use serde::ser::SerializeStruct;
-        let mut motor = serializer.serialize_struct("MotorStats", 3)?;
-        let revolution = self.revolution.map(|revolution| revolution.as_secs_f64());
-        motor.serialize_field("revolution", &revolution)?;
-        motor.serialize_field("lateness", &self.lateness.as_secs_f64())?;
+        let mut motor = serializer.serialize_struct("MotorStats", 2)?;
+        motor.serialize_field("revolution", &self.revolution.as_secs_f64())?;
         motor.serialize_field("jumps", &self.jumps)?;
         motor.end()
     }

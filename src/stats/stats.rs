@@ -45,8 +45,8 @@ pub struct Stats {
     pub baud_rate_outrun: bool,
     /// Times from a `G` to the last byte of its reply.
     pub reply_latency: LatencyStats,
-    /// Motor of the sensor. `None` until enough replies have followed its revolutions,
-    /// and while the link is lost.
+    /// Motor of the sensor, on its own USB port. `None` while too few replies follow its
+    /// revolutions, and while the link is lost.
     pub motor: Option<MotorStats>,
     /// Windows that are polled now, each with its rate.
     pub schedules: Vec<ScheduleStats>,

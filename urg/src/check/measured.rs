@@ -171,16 +171,13 @@ impl Measured {
     fn motor(&self) -> Finding {
         let lateness: Vec<_> = self.scans.iter().filter_map(|seen| seen.lateness).collect();
         let Some(motor) = self.after.motor.filter(|_| !lateness.is_empty()) else {
-            return Finding::ok("motor", "not known yet: `--duration 2m` measures it");
+            return Finding::ok("motor", "not known: only the sensor's own USB port shows it");
         };
-        let speed = motor.revolution.map_or_else(
-            || "speed not known yet".to_owned(),
-            |revolution| format!("{:.2} rpm", 60.0 / revolution.as_secs_f64()),
-        );
+        let speed = 60.0 / motor.revolution.as_secs_f64();
         let milliseconds = |time: Duration| time.as_secs_f64() * 1000.0;
         let mean = milliseconds(lateness.iter().sum::<Duration>()) / lateness.len() as f64;
         let most = milliseconds(lateness.iter().max().copied().unwrap_or_default());
-        let text = format!("{speed}; scans arrive {mean:.1} ms late, {most:.1} ms at most");
+        let text = format!("{speed:.2} rpm; scans arrive {mean:.1} ms late, {most:.1} ms at most");
         if motor.jumps > 0 {
             let jumps = motor.jumps;
             Finding::weak("motor", format!("{text}; it jumped {jumps} times: check the power"))

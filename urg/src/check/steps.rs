@@ -137,11 +137,11 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn motor_speed_is_measured_and_late_scans_are_weak() {
-        let turning = || Emulator::builder().revolution(Duration::from_micros(99_760));
-        let (bad, text) = test(turning(), Faults::none(), 120).await;
+        let turning = || Emulator::builder().intact_usb().revolution(Duration::from_micros(99_760));
+        let (bad, text) = test(turning(), Faults::none(), 10).await;
         assert_eq!(bad, [], "{text}");
         assert!(text.contains("motor    601.4"), "{text}");
-        let late = Faults::none().late(0.2, Duration::from_millis(80)).seed(1);
+        let late = Faults::none().late(0.25, Duration::from_millis(48)).seed(1);
         let (bad, text) = test(turning(), late, 120).await;
         assert!(bad.contains(&("motor", Verdict::Weak)), "{text}");
         assert!(text.contains("this computer is busy"), "{text}");

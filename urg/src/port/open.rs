@@ -45,7 +45,7 @@ pub(crate) fn begin(
             // `--baud` needs an emulated RS-232 sensor: USB has no baud rate.
             let emulator = match link.baud {
                 Some(_) => emulator.baud_rate(BaudRate::B19200),
-                None => emulator.usb(),
+                None => emulator.intact_usb(),
             };
             spawn(builder, emulator.build())
         }
