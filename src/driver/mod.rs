@@ -15,6 +15,7 @@ mod observers;
 mod open;
 mod rate_meter;
 mod raw_reply;
+mod ray_order;
 mod request;
 mod schedule;
 mod serve;

@@ -10,6 +10,7 @@ use super::baud_rate;
 use super::failure::{ExchangeError, LinkError};
 use super::laser::{Laser, Refusal};
 use super::motor_clock::MotorClock;
+use super::ray_order::RayOrder;
 use super::request::{Abandoned, Request, RequestQueue, Responder};
 use super::schedule::{DuePoll, Ended, Schedules};
 use super::session::{Polled, Session};
@@ -79,6 +80,7 @@ pub(crate) struct Service<'a> {
     pub(crate) probe_interval: Option<Duration>,
     /// On the sensor's own USB port.
     pub(crate) motor_clock: Option<MotorClock>,
+    pub(crate) ray_order: RayOrder,
     /// Number of times the sensor had been found again before this session.
     pub(crate) reconnects: u64,
     /// True if scans are polled, as the state reports it.
@@ -453,12 +455,15 @@ impl Service<'_> {
             received_at: timing.received,
             stamp: timing.stamp,
             lateness: revolution.lateness,
+            postponed: Duration::ZERO,
             repeat: false,
             scan_time: revolution.period.unwrap_or(self.scan_time),
             geometry: Geometry::URG_04LX,
             reconnects: self.reconnects,
         };
-        Scan::new(window, values, first, meta)
+        let mut scan = Scan::new(window, values, first, meta);
+        self.ray_order.arrange(&mut scan);
+        scan
     }
 
     /// Logs why a schedule falls short of its rate.

@@ -16,6 +16,7 @@ use super::config::Config;
 use super::failure::LinkError;
 use super::motor_clock::MotorClock;
 use super::open::Opener;
+use super::ray_order::RayOrder;
 use super::request::{RequestQueue, Unlinked};
 use super::schedule::Schedules;
 use super::serve::{Service, Stop};
@@ -140,6 +141,7 @@ impl Supervisor {
             scan_time,
             probe_interval,
             motor_clock: session.transport.delivers_intact().then(|| MotorClock::new(scan_time)),
+            ray_order: RayOrder::default(),
             reconnects,
             streaming: false,
             timer: Timer::default(),

@@ -58,6 +58,7 @@ impl ScanBuilder {
             received_at: now,
             stamp: SystemTime::now(),
             lateness: None,
+            postponed: Duration::ZERO,
             repeat: false,
             scan_time: REVOLUTION,
             geometry: Geometry::URG_04LX,

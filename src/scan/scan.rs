@@ -49,6 +49,8 @@ pub(crate) struct ScanMeta {
     pub(crate) stamp: SystemTime,
     /// Time from the end of the revolution to `first_byte_at`, if the motor is known.
     pub(crate) lateness: Option<Duration>,
+    /// How much later the first ray is than that, so that it follows the scan before.
+    pub(crate) postponed: Duration,
     pub(crate) repeat: bool,
     pub(crate) scan_time: Duration,
     pub(crate) geometry: Geometry,
@@ -163,9 +165,9 @@ impl fmt::Debug for Scan {
 impl PartialEq for Scan {
     fn eq(&self, other: &Self) -> bool {
         let meta = |scan: &Self| {
-            let ScanMeta { sequence, stamp, lateness, repeat, scan_time, reconnects, .. } =
-                scan.meta;
-            (sequence, stamp, lateness, repeat, scan_time, reconnects)
+            let ScanMeta { sequence, stamp, lateness, postponed, repeat, .. } = scan.meta;
+            let ScanMeta { scan_time, reconnects, .. } = scan.meta;
+            (sequence, stamp, lateness, postponed, repeat, scan_time, reconnects)
         };
         self.window == other.window && meta(self) == meta(other) && self.values() == other.values()
     }
@@ -199,6 +201,7 @@ pub(super) mod tests {
             ScanMeta { requested_at: later, first_byte_at: later, received_at: later, ..a.meta };
         assert_eq!(a, with(instants));
         assert_ne!(a, with(ScanMeta { lateness: Some(Duration::ZERO), ..a.meta }));
+        assert_ne!(a, with(ScanMeta { postponed: Duration::from_secs(1), ..a.meta }));
         assert_ne!(a, with(ScanMeta { sequence: 1, ..a.meta }));
         assert_ne!(a, with(ScanMeta { reconnects: 1, ..a.meta }));
         assert_ne!(a, with(ScanMeta { repeat: true, ..a.meta }));

@@ -63,6 +63,9 @@ impl Scan {
     /// The revolution ended its [`lateness`](Self::lateness) before the reply arrived. Check
     /// [`stamp_quality`](Self::stamp_quality) to see whether the lateness is known.
     ///
+    /// The first point is never before the last one of the scan before on the same link: after a late
+    /// scan this one is later, too. Only scans that come faster than the motor turns overlap.
+    ///
     /// # Accuracy
     ///
     /// If the speed of the motor is right, the true time is this one or earlier:
@@ -82,7 +85,8 @@ impl Scan {
     /// from captures of replies. Moving objects were not measured.
     pub fn first_ray_stamp(&self) -> SystemTime {
         let stamp = self.meta.stamp;
-        stamp.checked_sub(self.since_first_ray()).unwrap_or(stamp)
+        let first = stamp.checked_sub(self.since_first_ray()).unwrap_or(stamp);
+        first.checked_add(self.meta.postponed).unwrap_or(first)
     }
 
     /// Same as [`first_ray_stamp`](Self::first_ray_stamp), but on tokio's monotonic clock.
@@ -90,7 +94,8 @@ impl Scan {
     /// the wall clock. A replay has the times of the replay.
     pub fn first_ray_at(&self) -> Instant {
         let arrived = self.meta.first_byte_at;
-        arrived.checked_sub(self.since_first_ray()).unwrap_or(arrived)
+        let first = arrived.checked_sub(self.since_first_ray()).unwrap_or(arrived);
+        first.checked_add(self.meta.postponed).unwrap_or(first)
     }
 
     /// What [`first_ray_stamp`](Self::first_ray_stamp) is based on.
@@ -118,6 +123,14 @@ impl Scan {
     /// 100 ms (600 rpm).
     pub fn scan_time(&self) -> Duration {
         self.meta.scan_time
+    }
+
+    /// Postpones the first ray until `earliest`. The stamps then rest on no motor.
+    pub(crate) fn begin_after(&mut self, earliest: Instant) {
+        if self.first_ray_at() < earliest {
+            self.meta.lateness = None;
+            self.meta.postponed = earliest.saturating_duration_since(self.first_ray_at());
+        }
     }
 
     /// Exact time from one point to the next in seconds.

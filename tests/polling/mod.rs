@@ -5,6 +5,7 @@ mod grid;
 mod pauses;
 mod pending_input;
 mod rate;
+mod ray_order;
 mod reached_rate;
 mod ready;
 mod schedule;

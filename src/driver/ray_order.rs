@@ -1,0 +1,42 @@
+//! [`RayOrder`]: begins each scan after the last ray of the scan before.
+//!
+//! A late reply makes late stamps. The next scan, in time, would begin before the late one has ended,
+//! which no motor can do; Cartographer drops such points. So its stamps become later, too.
+
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use crate::scan::Scan;
+
+/// Part of the nominal revolution that a revolution takes at least.
+const SHORTEST_REVOLUTION: f64 = 0.9;
+
+/// Latest ray of a link. Its scans are in the order of their polls.
+#[derive(Debug, Default)]
+pub(crate) struct RayOrder {
+    /// When the latest poll was sent, and the earliest time of the next scan's first ray.
+    latest: Option<(Instant, Instant)>,
+    /// How much faster scans come than a motor turns. A late reply makes it a revolution at most.
+    ahead: Duration,
+}
+
+impl RayOrder {
+    /// Makes the stamps of a scan later if it would begin before the latest ray. A sensor that answers
+    /// faster than its motor turns shows a revolution twice: then scans overlap.
+    pub(crate) fn arrange(&mut self, scan: &mut Scan) {
+        let revolution = scan.scan_time();
+        if let Some((requested, earliest)) = self.latest {
+            let since = scan.requested_at().saturating_duration_since(requested);
+            let ahead = self.ahead + revolution.mul_f64(SHORTEST_REVOLUTION);
+            self.ahead = ahead.saturating_sub(since).min(3 * revolution);
+            if self.ahead <= 2 * revolution {
+                scan.begin_after(earliest);
+            }
+        }
+        // An increment after the last ray.
+        let swept = scan.time_increment().saturating_mul(scan.len() as u32);
+        let end = scan.first_ray_at() + swept;
+        self.latest = Some((scan.requested_at(), end));
+    }
+}
