@@ -384,3 +384,20 @@ async fn dropping_the_last_stream_ends_streaming() {
         assert!(ended.is_ok(), "{requests} requests");
     }
 }
+
+#[tokio::test(start_paused = true)]
+async fn a_replaced_stream_continues_at_once() {
+    let sensor = builder().connect(Emulator::default()).await.unwrap();
+    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    scans.next().await.unwrap().unwrap();
+    let (start, ahead) = (Instant::now(), Window::new(299..=469).unwrap());
+    scans = sensor.scans(ahead, Rate::hz(5.0)).await.unwrap();
+    let scan = scans.next().await.unwrap().unwrap();
+    assert_eq!((scan.window(), scan.sequence()), (ahead, 0));
+    assert!(start.elapsed() <= ms(300), "{:?}", start.elapsed());
+    let before = sensor.stats().polls;
+    tokio::time::sleep(ms(2000)).await;
+    // The old stream would add 20.
+    let polls = sensor.stats().polls - before;
+    assert!((5..=12).contains(&polls), "{polls}");
+}
