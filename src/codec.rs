@@ -11,10 +11,10 @@ use std::io;
 use bytes::{Buf, BufMut, BytesMut};
 use tokio_util::codec::{Decoder, Encoder};
 
-use crate::protocol::{Command, Window};
+use crate::protocol::Command;
 
 /// Longest reply in bytes, without its terminator. A sensor's longest reply has 1,574.
-const MAX_FRAME: usize = 4096;
+pub(crate) const MAX_FRAME: usize = 4096;
 /// Number of bytes that are searched at once.
 const BLOCK: usize = 32;
 /// Length of a terminator, two LFs.
@@ -80,34 +80,38 @@ impl FoundFrame {
 /// assert_eq!(codec.decode(&mut bytes)?, Some(Frame::Reply("L1\n0".into())));
 /// # Ok::<(), std::io::Error>(())
 /// ```
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct ScipCodec {
     /// Number of bytes at the front of the buffer that are known to hold no terminator.
     searched: usize,
     /// Number of bytes of an over-long frame dropped so far.
     skipped: Option<usize>,
-    /// Expected successful reply, if the last command was a `G`.
-    expected: Option<ExpectedScan>,
+    /// Expected successful reply, if its length is known.
+    expected: Option<ExpectedReply>,
+    /// Longest frame in bytes, without its terminator.
+    max_frame: usize,
 }
 
-/// Beginning and length of a successful reply to a `G`.
+/// Beginning and length of a successful reply.
 #[derive(Debug, Clone, Copy)]
-struct ExpectedScan {
-    /// Echo and status.
-    head: [u8; ExpectedScan::HEAD],
+pub(crate) struct ExpectedReply {
+    /// First bytes: of a `G` the echo and the status.
+    head: [u8; ExpectedReply::HEAD],
     /// Length including the terminator.
     length: usize,
 }
 
-impl ExpectedScan {
+impl ExpectedReply {
     const HEAD: usize = 12;
 
-    fn new(window: &Window, command: &[u8]) -> Self {
+    /// Expects a scan in reply to `command`, whose bytes are `bytes`. `None` for other commands.
+    pub(crate) fn new(command: &Command, bytes: &[u8]) -> Option<Self> {
+        let Command::Distances(window) = command else { return None };
         let mut head = *b"         \n0\n";
-        for (byte, echo) in head.iter_mut().zip(command) {
+        for (byte, echo) in head.iter_mut().zip(bytes) {
             *byte = *echo;
         }
-        Self { head, length: window.reply_len() }
+        Some(Self { head, length: window.reply_len() })
     }
 
     /// Checks whether `buffer` begins with the expected reply, by its head and its end.
@@ -118,7 +122,18 @@ impl ExpectedScan {
     }
 }
 
+impl Default for ScipCodec {
+    fn default() -> Self {
+        Self { searched: 0, skipped: None, expected: None, max_frame: MAX_FRAME }
+    }
+}
+
 impl ScipCodec {
+    /// Expects `reply` from now on, if its length is known, and frames of at most `max_frame` bytes.
+    pub(crate) fn expect(&mut self, reply: Option<ExpectedReply>, max_frame: usize) {
+        (self.expected, self.max_frame) = (reply, max_frame);
+    }
+
     /// Finds the first frame in `buffer` and leaves a reply there, for the driver to validate in
     /// place.
     ///
@@ -133,7 +148,7 @@ impl ScipCodec {
             self.searched = buffer.len();
             // The first LF of a split terminator does not count towards the frame.
             let half = usize::from(buffer.ends_with(b"\n"));
-            if buffer.len() - half > MAX_FRAME || self.skipped.is_some() && buffer.len() > 1 {
+            if buffer.len() - half > self.max_frame || self.skipped.is_some() && buffer.len() > 1 {
                 let useless = buffer.len() - 1;
                 buffer.advance(useless);
                 *self.skipped.get_or_insert(0) += useless;
@@ -143,7 +158,7 @@ impl ScipCodec {
         };
         self.searched = 0;
         let skipped = self.skipped.take();
-        if skipped.is_none() && length <= MAX_FRAME {
+        if skipped.is_none() && length <= self.max_frame {
             return Some(FoundFrame::Reply(length));
         }
         buffer.advance(length + TERMINATOR);
@@ -152,33 +167,20 @@ impl ScipCodec {
 
     /// Forgets all progress. Call it after you empty the buffer.
     pub(crate) fn reset(&mut self) {
-        *self = Self { expected: self.expected, ..Self::default() };
+        (self.searched, self.skipped) = (0, None);
     }
 
-    /// Appends `command` and its terminator to `buffer`, and expects its reply from now on.
-    pub(crate) fn write(&mut self, command: &Command, buffer: &mut BytesMut) {
-        let bytes = command.bytes();
-        buffer.reserve(bytes.len() + 1);
-        buffer.put_slice(&bytes);
-        buffer.put_u8(b'\n');
-        self.expected = match command {
-            Command::Distances(window) => Some(ExpectedScan::new(window, &bytes)),
-            _ => None,
-        };
-    }
-
-    /// Number of bytes missing from `buffer`, if it begins with a successful reply to the
-    /// last command and that was a `G`.
+    /// Number of bytes missing from `buffer`, if it begins with the expected reply.
     pub(crate) fn missing(&self, buffer: &[u8]) -> Option<usize> {
-        let scan = self.expected.filter(|scan| buffer.first_chunk() == Some(&scan.head))?;
-        scan.length.checked_sub(buffer.len()).filter(|missing| *missing > 0)
+        let reply = self.expected.filter(|reply| buffer.first_chunk() == Some(&reply.head))?;
+        reply.length.checked_sub(buffer.len()).filter(|missing| *missing > 0)
     }
 
     /// Finds the end of the first frame in `buffer`. Returns the length without the
     /// terminator, or `None` if the frame is incomplete.
     fn find_end(&self, buffer: &[u8]) -> Option<usize> {
         if self.skipped.is_none()
-            && let Some(length) = self.expected.as_ref().and_then(|scan| scan.find(buffer))
+            && let Some(length) = self.expected.as_ref().and_then(|reply| reply.find(buffer))
         {
             return Some(length);
         }
@@ -220,7 +222,11 @@ impl Encoder<&Command> for ScipCodec {
     type Error = io::Error;
 
     fn encode(&mut self, command: &Command, buffer: &mut BytesMut) -> io::Result<()> {
-        self.write(command, buffer);
+        let bytes = command.bytes();
+        buffer.reserve(bytes.len() + 1);
+        buffer.put_slice(&bytes);
+        buffer.put_u8(b'\n');
+        self.expect(ExpectedReply::new(command, &bytes), MAX_FRAME);
         Ok(())
     }
 }

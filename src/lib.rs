@@ -84,7 +84,7 @@
 //! change at any time.
 //!
 //! Types that may grow are `#[non_exhaustive]`: all errors, [`State`], [`Endpoint`], the
-//! counters, [`Version`], [`RawReply`] and [`scan::Ray`]. So are the variants that only the crate
+//! counters, [`Operation`], [`Version`], [`RawReply`] and [`scan::Ray`]. So are the variants that only the crate
 //! constructs. You can construct the other variants, for a [`Connect`](port::Connect) or a test.
 //! [`protocol::Command`], [`BaudRate`] and [`Measurement`], which the protocol fixes, [`Point`] and
 //! [`scan::Pose`] are exhaustive.
@@ -112,7 +112,7 @@ pub mod stats;
 pub mod stream;
 
 pub use driver::{Driver, RawReply, ReplyObservation};
-pub use error::{Error, ErrorChain, ErrorKind};
+pub use error::{Error, ErrorChain, ErrorKind, Operation};
 #[doc(inline)]
 pub use port::Endpoint;
 #[doc(inline)]

@@ -11,8 +11,7 @@ use std::time::Duration;
 
 use tokio::time::{Instant, sleep, timeout};
 use tokio_scip::port::Connect;
-use tokio_scip::protocol::Command;
-use tokio_scip::{BaudRate, Error, ErrorKind, Rate, ScanStream, Sensor, State, Window};
+use tokio_scip::{BaudRate, Error, ErrorKind, Operation, Rate, ScanStream, Sensor, State, Window};
 use urg_emulator::{Emulator, Fault, Faults, Fixed, Link};
 
 use crate::common::builder;
@@ -354,10 +353,10 @@ impl History {
 fn is_about_baud_rate(error: &Error) -> bool {
     match error.kind() {
         ErrorKind::UnsupportedBaudRate { .. } => true,
-        ErrorKind::Timeout { command, .. }
-        | ErrorKind::Refused { command, .. }
-        | ErrorKind::Malformed { command, .. }
-        | ErrorKind::NotConfirmed { command, .. } => matches!(command, Command::BaudRate(_)),
+        ErrorKind::Timeout { operation, .. }
+        | ErrorKind::Refused { operation, .. }
+        | ErrorKind::Malformed { operation, .. }
+        | ErrorKind::NotConfirmed { operation, .. } => *operation == Operation::SetBaudRate,
         _ => false,
     }
 }

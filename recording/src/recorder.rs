@@ -114,7 +114,7 @@ impl Recorder {
     pub async fn describe(&self, sensor: &Sensor, scans: &ScanStream) -> Result<(), Error> {
         let version = sensor.version().await?;
         let baud_rate = sensor.watch_state().get().baud_rate();
-        let baud_rate = baud_rate.filter(|_| !sensor.stats().baud_rate_outrun);
+        let baud_rate = baud_rate.filter(|_| !sensor.stats().baud_rate_disproved);
         let baud_rate = baud_rate.map_or_else(|| "none".to_owned(), |rate| rate.to_string());
         let window = scans.window();
         let mut metadata: BTreeMap<_, _> = [

@@ -1,7 +1,6 @@
 //! [`ExchangeError`]: failure of a command, or of the link it was sent on ([`LinkError`]).
 
 use crate::ErrorKind;
-use crate::protocol::Command;
 
 /// Failure of an exchange, sorted by what the driver has to do next.
 #[derive(Debug)]
@@ -29,20 +28,6 @@ impl ExchangeError {
         match self {
             Self::Command(kind) => kind,
             Self::Link(failure) => failure.kind(),
-        }
-    }
-
-    /// Names `command` in the error of a fence that was sent on its behalf: the caller
-    /// knows nothing of fences.
-    pub(crate) fn on_behalf_of(self, command: Command) -> Self {
-        match self {
-            Self::Link(LinkError::Silent(error)) => LinkError::Silent(match error {
-                ErrorKind::Timeout { after, .. } => ErrorKind::Timeout { command, after },
-                ErrorKind::Malformed { source, .. } => ErrorKind::Malformed { command, source },
-                error => error,
-            })
-            .into(),
-            other => other,
         }
     }
 }

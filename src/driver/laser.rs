@@ -1,5 +1,5 @@
-//! [`Laser`]: switches the laser as wished and confirms it, and switches it on again if
-//! something else switched it off. Never trusts a status alone.
+//! [`Laser`]: switches the laser as the service asks, and switches it on again if something else switched it
+//! off.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,7 +9,6 @@ use tokio::time::Instant;
 use super::backoff::Backoff;
 use super::failure::ExchangeError;
 use super::session::Session;
-use crate::protocol::{Command, Status};
 use crate::state::Telemetry;
 use crate::{ErrorChain, ErrorKind, Window};
 
@@ -18,13 +17,13 @@ const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs
 
 /// Laser of the sensor: what is known of it, and when to try again what the sensor refused.
 pub(crate) struct Laser {
-    /// True if the sensor has confirmed that its laser is off, as the service wished. Nothing is
+    /// True if the sensor has confirmed that its laser is off, as the service asked. Nothing is
     /// polled then.
     is_off: bool,
-    /// When to switch it as wished again, because it did not follow the last time.
+    /// When to switch it again, because it did not follow the last time.
     retry_at: Option<Instant>,
     backoff: Backoff,
-    /// True if the log has told that the laser is not as wished.
+    /// True if the log has told that the laser is not as it was set.
     is_reported: bool,
     /// Windows that the sensor refuses to measure.
     refused: Vec<RefusedWindow>,
@@ -56,32 +55,32 @@ impl Laser {
         }
     }
 
-    /// Returns true if the laser is off, as wished and confirmed.
+    /// Returns true if the laser is off, as set and confirmed.
     pub(crate) fn is_off(&self) -> bool {
         self.is_off
     }
 
-    /// When [`retry`](Self::retry) is due, if the laser did not follow a wish.
+    /// When [`retry`](Self::retry) is due, if the laser did not follow its setting.
     pub(crate) fn retry_at(&self) -> Option<Instant> {
         self.retry_at
     }
 
-    /// Returns true if the laser should be switched as wished now.
-    pub(crate) fn is_due(&self, wish: Option<bool>) -> bool {
+    /// Returns true if the laser should be switched now.
+    pub(crate) fn is_due(&self, desired: Option<bool>) -> bool {
         match self.retry_at {
-            Some(retry_at) => wish.is_some() && retry_at <= Instant::now(),
-            // The wish is younger than the session.
-            None => wish == Some(self.is_off),
+            Some(retry_at) => desired.is_some() && retry_at <= Instant::now(),
+            // The setting is younger than the session.
+            None => desired == Some(self.is_off),
         }
     }
 
-    /// Switches the laser as wished, and confirms it.
+    /// Switches the laser.
     pub(crate) async fn switch(
         &mut self,
         session: &mut Session,
         on: bool,
     ) -> Result<(), ExchangeError> {
-        let outcome = set_laser(session, on).await;
+        let outcome = session.set_laser(on).await;
         match &outcome {
             Ok(()) => {
                 self.set_off(!on);
@@ -99,7 +98,7 @@ impl Laser {
         outcome
     }
 
-    /// Switches the laser as wished, without a caller who would learn that it does not follow.
+    /// Switches the laser without a caller who would learn that it does not follow.
     pub(crate) async fn retry(
         &mut self,
         session: &mut Session,
@@ -121,10 +120,10 @@ impl Laser {
     pub(crate) async fn restore(
         &mut self,
         session: &mut Session,
-        wish: Option<bool>,
+        desired: Option<bool>,
     ) -> Result<(), ExchangeError> {
         self.refused.clear();
-        match wish {
+        match desired {
             Some(on) => self.retry(session, on).await,
             None => Ok(()),
         }
@@ -141,7 +140,7 @@ impl Laser {
     }
 
     /// Switches the laser on after the sensor refused a poll. Ignores which status it
-    /// refused with: sources disagree on the status of a `G` while the laser is off.
+    /// refused with: sources disagree on the status while the laser is off.
     ///
     /// # Errors
     ///
@@ -151,15 +150,14 @@ impl Laser {
         &mut self,
         session: &mut Session,
         window: Window,
-        refusal: Refusal,
+        refusal: ErrorKind,
     ) -> Result<(), ExchangeError> {
         if let Some(refused) = self.refused.iter().find(|refused| refused.window == window)
             && Instant::now() < refused.retry_at
         {
-            let error = refused.error.clone().unwrap_or_else(|| refusal.into());
-            return Err(ExchangeError::Command(error));
+            return Err(ExchangeError::Command(refused.error.clone().unwrap_or(refusal)));
         }
-        let outcome = set_laser(session, true).await;
+        let outcome = session.set_laser(true).await;
         match &outcome {
             Ok(()) => self.retry_at = None,
             Err(ExchangeError::Command(error)) => self.record_refusal(window, Some(error.clone())),
@@ -185,62 +183,5 @@ impl Laser {
         };
         (refused.error, refused.retry_at) = (error, now + refused.backoff.next());
         self.refused.push(refused);
-    }
-}
-
-/// Switches the laser, and confirms it with a fence: the sensor refuses a `G` if and only
-/// if the laser is off.
-///
-/// # Errors
-///
-/// [`ErrorKind::NotConfirmed`] if it stays as it is. [`ErrorKind::Refused`] if the sensor refuses
-/// both `L0` and to measure: then nothing tells whether the laser is off.
-async fn set_laser(session: &mut Session, on: bool) -> Result<(), ExchangeError> {
-    let command = if on { Command::LaserOn } else { Command::LaserOff };
-    let mut tries = 2;
-    loop {
-        tries -= 1;
-        let status = match session.command_twice(command).await {
-            Ok(reply) => Some(reply.status()),
-            Err(ExchangeError::Command(ErrorKind::Refused { status, .. })) => Some(status),
-            Err(ExchangeError::Command(_)) => None,
-            Err(lost) => return Err(lost),
-        };
-        // The caller asked for `command` and knows nothing of fences.
-        let measured = session.fence().await.map_err(|error| error.on_behalf_of(command))?;
-        let refused = status.filter(|status| !status.is_ok_for(&command));
-        if measured.is_ok() == on {
-            match (status, refused) {
-                // One refused `G` without an answer to `L0` proves little: its status may have
-                // been another one. A driver that is closing has no time to ask again.
-                (None, _) if !on && tries > 0 && !session.is_closing() => continue,
-                (_, Some(status)) if !on => {
-                    return Err(ExchangeError::Command(ErrorKind::Refused { command, status }));
-                }
-                _ => return Ok(()),
-            }
-        }
-        // Only a status that means success may have been another one.
-        if tries == 0 || refused.is_some() || status.is_none() {
-            let refusal = Some(measured).filter(|_| on);
-            return Err(ExchangeError::Command(ErrorKind::NotConfirmed {
-                command,
-                status,
-                refusal,
-            }));
-        }
-    }
-}
-
-/// A `G` that the sensor refused.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Refusal {
-    pub(crate) command: Command,
-    pub(crate) status: Status,
-}
-
-impl From<Refusal> for ErrorKind {
-    fn from(Refusal { command, status }: Refusal) -> Self {
-        Self::Refused { command, status }
     }
 }

@@ -2,11 +2,10 @@
 //! streams read the rings that it fills.
 //!
 //! `src/guide/design.md` follows a scan and a request through these files. `supervisor` and `open`
-//! keep a session open, and `serve` uses it. `session::fence` proves that no older reply can be
-//! mistaken for a new one.
+//! keep a session open, and `serve` uses it. `session` is the line below
+//! which a protocol confirms what the driver asks for.
 
 mod backoff;
-mod baud_rate;
 mod config;
 mod failure;
 mod laser;

@@ -6,28 +6,23 @@ use std::time::Duration;
 
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
-use super::baud_rate;
 use super::config::Config;
 use super::failure::{ExchangeError, LinkError};
 use super::laser::Laser;
-use super::session::{Leftovers, Session, UniqueRequests};
+use super::session::{Identity, Leftovers, MotorSpeed, Session};
 use crate::port::{AnyConnect, Port};
-use crate::protocol::{Text, Version};
-use crate::state::{Telemetry, VersionReply};
+use crate::protocol::Text;
+use crate::state::Telemetry;
 use crate::{BaudRate, Error, ErrorChain, ErrorKind};
 
-/// One revolution of a URG's motor, and the revolutions a minute.
+/// One revolution of a URG's motor.
 const REVOLUTION: Duration = Duration::from_millis(100);
-const NOMINAL_SPEED: u16 = 600;
 /// Number of candidates to try before backing off. No machine has as many ports, but a
 /// [`Connect`](crate::port::Connect) may always promise another one.
 const MAX_CANDIDATES: usize = 64;
 /// Least time per candidate, for a very short open timeout. A search retries busy ports for 2 s:
 /// [`MAX_CANDIDATES`] times this is longer.
 const CANDIDATE_TIME: Duration = Duration::from_millis(40);
-/// Number of times to ask a sensor for its version until two replies agree. If no two do, the last
-/// serial number counts, and no motor speed.
-const IDENTITY_TRIES: usize = 4;
 
 /// Opens the port, and restores the settings of the sensor behind it.
 pub(crate) struct Opener {
@@ -48,17 +43,9 @@ pub(crate) struct Opener {
     serial_number: Option<Text>,
     leftovers: Leftovers,
     opened: bool,
-    /// Motor speed on which two replies have agreed, which may be that the sensor tells none.
-    motor_speed: Option<Option<u16>>,
+    /// Confirmed motor speed.
+    motor_speed: Option<MotorSpeed>,
     scan_time: Duration,
-}
-
-/// Reply to `V`, and what of it is certain: known before, or the same twice.
-struct Identified {
-    reply: VersionReply,
-    serial_is_certain: bool,
-    /// Motor speed, if it is certain: perhaps that the sensor tells none.
-    speed: Option<Option<u16>>,
 }
 
 impl Opener {
@@ -76,10 +63,7 @@ impl Opener {
             found: None,
             serial_number: None,
             identity: config.serial_number.clone().or(asked),
-            leftovers: Leftovers {
-                unique_requests: UniqueRequests::starting(config.seed()),
-                interrupted: false,
-            },
+            leftovers: Leftovers::unknown(config.seed()),
             opened: false,
             motor_speed: None,
             scan_time: REVOLUTION,
@@ -104,7 +88,7 @@ impl Opener {
     }
 
     /// Opens the port and finds the sensor. If there are several ports, tries one after
-    /// another. Switches the laser as `laser` wishes.
+    /// another. Switches the laser as `laser` desired.
     pub(crate) async fn open(&mut self, laser: Option<bool>) -> Result<Session, LinkError> {
         let mut candidates = 1;
         loop {
@@ -153,10 +137,7 @@ impl Opener {
         let mut session = Session::new(port, reply_latency, leftovers, observers, telemetry);
         match self.find(&mut session, laser, self.config.open_timeout).await {
             Ok(()) => Ok(session),
-            Err(mut failure) => {
-                if let LinkError::Silent(ErrorKind::WrongProtocol { model, .. }) = &mut failure {
-                    *model = session.scip2_model().await;
-                }
+            Err(failure) => {
                 self.close(session);
                 Err(failure)
             }
@@ -174,10 +155,8 @@ impl Opener {
         laser: Option<bool>,
     ) -> Result<(), LinkError> {
         // One pass over the baud rates; then the port is reopened. Without baud rates to search,
-        // half the time: twice as many fences went unanswered before.
-        let searchable =
-            session.transport.is_adjustable() && session.transport.baud_rate().is_some();
-        let share = if searchable { 1 } else { 2 };
+        // half the time: it was probed for twice as long before.
+        let share = if session.is_searchable() { 1 } else { 2 };
         self.find(session, laser, self.config.recovery_timeout / share).await
     }
 
@@ -187,21 +166,21 @@ impl Opener {
         laser: Option<bool>,
         limit: Duration,
     ) -> Result<(), LinkError> {
-        baud_rate::find(session, &self.baud_rates(), Instant::now() + limit).await?;
-        let identified = self.identify(session).await?;
+        session.find(&self.baud_rates(), Instant::now() + limit).await?;
+        let identity = self.identify(session).await?;
         self.restore_baud_rate(session).await?;
         self.laser.restore(session, laser).await?;
-        self.accept(identified);
-        self.found = session.transport.baud_rate();
+        self.accept(identity);
+        self.found = session.baud_rate();
         Ok(())
     }
 
     /// Accepts the sensor, now that it has the service's settings. From now on expects no
     /// other sensor.
-    fn accept(&mut self, identified: Identified) {
-        let Identified { reply, serial_is_certain, speed } = identified;
+    fn accept(&mut self, identity: Identity) {
+        let Identity { reply, is_serial_number_confirmed, motor_speed } = identity;
         let now = &reply.version.serial_number;
-        if serial_is_certain && !self.config.any_sensor {
+        if is_serial_number_confirmed && !self.config.any_sensor {
             self.identity.get_or_insert_with(|| now.clone());
         }
         let before = self.serial_number.replace(now.clone());
@@ -210,11 +189,14 @@ impl Opener {
             tracing::warn!(%before, %now, "another sensor has taken its place");
         }
         // A flipped bit changes the motor speed of no sensor.
-        if speed.is_some() || is_another {
-            self.motor_speed = speed;
-            self.scan_time = speed.flatten().map_or(REVOLUTION, |revolutions_per_minute| {
-                Duration::from_secs(60) / u32::from(revolutions_per_minute.max(1))
-            });
+        if motor_speed.is_some() || is_another {
+            self.motor_speed = motor_speed;
+            self.scan_time = match motor_speed {
+                Some(MotorSpeed::RevolutionsPerMinute(speed)) => {
+                    Duration::from_secs(60) / u32::from(speed.max(1))
+                }
+                Some(MotorSpeed::Untold) | None => REVOLUTION,
+            };
         }
         self.telemetry.set_version(reply);
         if let Some(hints) = self.connect.hints() {
@@ -235,59 +217,23 @@ impl Opener {
         baud_rates
     }
 
-    /// Reads the sensor's version, and fails if it is another sensor.
-    async fn identify(&mut self, session: &mut Session) -> Result<Identified, ExchangeError> {
-        let identified = self.confirm_identity(session).await?;
-        let found = &identified.reply.version.serial_number;
+    /// Identifies the sensor, and fails if it is another one than expected.
+    async fn identify(&mut self, session: &mut Session) -> Result<Identity, ExchangeError> {
+        let identity = session.identify(self.identity.as_ref(), self.motor_speed).await?;
+        let found = &identity.reply.version.serial_number;
         if let Some(expected) = self.identity.as_ref().filter(|expected| *expected != found) {
             let (expected, found) = (expected.clone(), found.clone());
             let error = ErrorKind::AnotherSensor { expected, found };
             return Err(LinkError::Lost(error).into());
         }
-        Ok(identified)
-    }
-
-    /// Reads the version until its serial number and motor speed are known or repeat, up to
-    /// [`IDENTITY_TRIES`] times, unless the port delivers all bytes intact. No checksum of SCIP
-    /// protects them: one flipped bit must neither reject a sensor, nor become the expected number,
-    /// nor move the times of a session.
-    async fn confirm_identity(
-        &mut self,
-        session: &mut Session,
-    ) -> Result<Identified, ExchangeError> {
-        let mut replies: Vec<VersionReply> = Vec::new();
-        let enough = if session.transport.delivers_intact() { 1 } else { 2 };
-        loop {
-            let latest = session.version().await?;
-            replies.push(latest.clone());
-            let settled = replies.iter().find(|reply| {
-                let number = &reply.version.serial_number;
-                // An empty serial number never confirms an expected one. A serial number with
-                // unprintable bytes is malformed, even if it repeats.
-                let counts =
-                    number.is_printable() && (self.identity.is_none() || !number.is_empty());
-                let same = replies.iter().filter(|one| one.version.serial_number == *number);
-                self.identity.as_ref() == Some(number) || counts && same.count() >= enough
-            });
-            let speeds = || replies.iter().map(|reply| motor_speed(&reply.version));
-            let speed = speeds().find(|speed| {
-                // A flipped bit in another speed hardly ever makes the nominal one.
-                [self.motor_speed, Some(Some(NOMINAL_SPEED))].contains(&Some(*speed))
-                    || speeds().filter(|one| one == speed).count() >= enough
-            });
-            if settled.is_some() && speed.is_some() || replies.len() == IDENTITY_TRIES {
-                let is_certain = settled.is_some_and(|it| !it.version.serial_number.is_empty());
-                let reply = settled.cloned().unwrap_or(latest);
-                return Ok(Identified { reply, serial_is_certain: is_certain, speed });
-            }
-        }
+        Ok(identity)
     }
 
     async fn restore_baud_rate(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
         if let Some(baud_rate) = self.baud_rate
-            && session.transport.baud_rate().is_some_and(|now| now != baud_rate)
+            && session.baud_rate().is_some_and(|now| now != baud_rate)
         {
-            match baud_rate::change(session, baud_rate).await {
+            match session.set_baud_rate(baud_rate).await {
                 // Scans at another baud rate are better than no scans.
                 Err(ExchangeError::Command(error)) if self.opened => {
                     let error = ErrorChain(&error);
@@ -303,10 +249,6 @@ impl Opener {
         }
         Ok(())
     }
-}
-
-fn motor_speed(version: &Version) -> Option<u16> {
-    version.specification.as_ref().and_then(|specification| specification.motor_speed)
 }
 
 /// Logs the error of an attempt, at trace: the default back-off makes one attempt a

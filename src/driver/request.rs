@@ -74,7 +74,7 @@ impl Request {
 /// What the service asked the sensor to be, recorded when the driver takes the request, with or
 /// without a link.
 #[derive(Debug, Default)]
-pub(crate) struct Wishes {
+pub(crate) struct DesiredSettings {
     pub(crate) laser: Option<bool>,
     /// Baud rate that the sensor has neither confirmed nor refused yet.
     pub(crate) baud_rate: Option<BaudRate>,
@@ -111,7 +111,7 @@ pub(crate) struct RequestQueue {
     receiver: mpsc::Receiver<Box<Request>>,
     /// How long a request waits for a link.
     timeout: Duration,
-    pub(crate) wishes: Wishes,
+    pub(crate) desired: DesiredSettings,
     /// Requests that wait for a link, oldest first. The first one expires first, because all
     /// wait equally long.
     waiting: VecDeque<WaitingRequest>,
@@ -124,8 +124,8 @@ pub(crate) struct RequestQueue {
 
 impl RequestQueue {
     pub(crate) fn new(receiver: mpsc::Receiver<Box<Request>>, timeout: Duration) -> Self {
-        let (wishes, waiting) = (Wishes::default(), VecDeque::new());
-        Self { receiver, timeout, wishes, waiting, purge_at: PURGE_FROM, next: None }
+        let (desired, waiting) = (DesiredSettings::default(), VecDeque::new());
+        Self { receiver, timeout, desired, waiting, purge_at: PURGE_FROM, next: None }
     }
 
     /// Returns the next request, or `None` if the queue is empty.
@@ -145,7 +145,7 @@ impl RequestQueue {
                 },
             };
             if !request.is_abandoned() {
-                self.wishes.record(&request);
+                self.desired.record(&request);
                 return Ok(Some(*request));
             }
         }
@@ -170,7 +170,7 @@ impl RequestQueue {
     pub(crate) async fn next_unlinked(&mut self, link: &Telemetry) -> Result<Unlinked, Abandoned> {
         loop {
             if let Some(request) = self.next.take().filter(|request| !request.is_abandoned()) {
-                self.wishes.record(&request);
+                self.desired.record(&request);
                 match *request {
                     Request::Subscribe { window, rate, depth, responder } => {
                         return Ok(Unlinked::Subscribe { window, rate, depth, responder });
@@ -211,7 +211,7 @@ impl RequestQueue {
     }
 }
 
-impl Wishes {
+impl DesiredSettings {
     fn record(&mut self, request: &Request) {
         match request {
             Request::Laser { on, .. } => self.laser = Some(*on),

@@ -6,15 +6,14 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-use super::baud_rate;
 use super::failure::{ExchangeError, LinkError};
-use super::laser::{Laser, Refusal};
+use super::laser::Laser;
 use super::motor_clock::MotorClock;
 use super::ray_order::RayOrder;
 use super::request::{Abandoned, Request, RequestQueue, Responder};
 use super::schedule::{DuePoll, Ended, Schedules};
-use super::session::{Polled, Session};
-use super::transport::{Timer, Timing};
+use super::session::{Acquired, Session};
+use super::transport::Timer;
 use crate::scan::{Scan, ScanMeta};
 use crate::state::Telemetry;
 use crate::stats::Shortfall;
@@ -51,17 +50,17 @@ impl From<Abandoned> for Stop {
 #[derive(Debug, Clone, Copy)]
 enum Turn {
     Request,
-    Wish,
+    Setting,
     Poll,
 }
 
 impl Turn {
-    const ALL: [Self; 3] = [Self::Request, Self::Wish, Self::Poll];
+    const ALL: [Self; 3] = [Self::Request, Self::Setting, Self::Poll];
 
     fn next(self) -> Self {
         match self {
-            Self::Request => Self::Wish,
-            Self::Wish => Self::Poll,
+            Self::Request => Self::Setting,
+            Self::Setting => Self::Poll,
             Self::Poll => Self::Request,
         }
     }
@@ -76,7 +75,7 @@ pub(crate) struct Service<'a> {
     pub(crate) baud_rate: &'a mut Option<BaudRate>,
     pub(crate) telemetry: &'a Telemetry,
     pub(crate) scan_time: Duration,
-    /// Silence after which an idle link is probed with a fence, if it is.
+    /// Silence after which an idle link is probed, if it is.
     pub(crate) probe_interval: Option<Duration>,
     /// On the sensor's own USB port.
     pub(crate) motor_clock: Option<MotorClock>,
@@ -93,13 +92,13 @@ impl Service<'_> {
     /// Serves until there is a reason to stop.
     pub(crate) async fn run(&mut self, session: &mut Session) -> Stop {
         self.schedules.resume(Instant::now());
-        let wishes = &mut self.queue.wishes;
-        if let Some(now) = session.transport.baud_rate()
-            && wishes.baud_rate.is_none()
-            && wishes.attempts < BAUD_RATE_ATTEMPTS
+        let desired = &mut self.queue.desired;
+        if let Some(now) = session.baud_rate()
+            && desired.baud_rate.is_none()
+            && desired.attempts < BAUD_RATE_ATTEMPTS
         {
             // The sensor may have restarted while its baud rate was restored.
-            wishes.baud_rate = self.baud_rate.filter(|baud_rate| *baud_rate != now);
+            desired.baud_rate = self.baud_rate.filter(|baud_rate| *baud_rate != now);
         }
         let mut latest = Turn::Poll;
         loop {
@@ -110,20 +109,20 @@ impl Service<'_> {
         }
     }
 
-    /// Serves one request, wish or poll in turn, so that none starves the others, or waits for one.
+    /// Serves one request, setting or poll in turn, so that none starves the others, or waits for one.
     async fn serve_next(&mut self, session: &mut Session, latest: &mut Turn) -> Result<(), Stop> {
         // Only bytes from the sensor show that the link is alive: some requests are answered
         // without it.
         let now = Instant::now();
-        let heard = session.transport.latest_at();
+        let heard = session.heard_at();
         let probe = self.probe_interval.zip(heard).map(|(interval, heard)| heard + interval);
-        // Now, while nothing else is due, a fence delays no poll.
-        if !session.is_settled() || probe.is_some_and(|due| due <= now) {
-            let outcome = Box::pin(self.resynchronise(session)).await;
+        // In doubt, the next command would begin with a probe anyway. Now there may be time for it.
+        if session.is_in_doubt() || probe.is_some_and(|due| due <= now) {
+            let outcome = Box::pin(self.probe(session)).await;
             ignore_command_errors(outcome)?;
         }
-        if self.laser.retry_at().is_none() && self.laser.is_due(self.queue.wishes.laser) {
-            // A wish that is younger than the session comes before all polls.
+        if self.laser.retry_at().is_none() && self.laser.is_due(self.queue.desired.laser) {
+            // A setting that is younger than the session comes before all polls.
             Box::pin(self.apply_laser(session)).await?;
         }
         let polling = !self.schedules.is_empty() && !self.laser.is_off();
@@ -140,12 +139,14 @@ impl Service<'_> {
                     }
                     None => false,
                 },
-                Turn::Wish if self.has_wish() => Box::pin(self.apply_wish(session)).await?,
+                Turn::Setting if self.has_setting() => {
+                    Box::pin(self.apply_setting(session)).await?
+                }
                 Turn::Poll if poll_is_due => {
                     self.poll_due(session).await?;
                     true
                 }
-                Turn::Wish | Turn::Poll => false,
+                Turn::Setting | Turn::Poll => false,
             };
             if is_served {
                 return Ok(());
@@ -153,8 +154,8 @@ impl Service<'_> {
         }
         let wake = due.into_iter().chain(probe).chain(self.laser.retry_at()).min();
         poll_fn(|cx| {
-            if let Poll::Ready(outcome) = session.transport.poll_idle(cx) {
-                return Poll::Ready(ignore_command_errors(outcome));
+            if let Poll::Ready(outcome) = session.poll_unasked(cx) {
+                return Poll::Ready(outcome.map_err(Stop::from));
             }
             if let Poll::Ready(outcome) = self.queue.poll_ready(cx) {
                 return Poll::Ready(outcome.map_err(Stop::from));
@@ -172,36 +173,34 @@ impl Service<'_> {
         Ok(())
     }
 
-    /// Returns true if there is a wish to apply.
-    fn has_wish(&self) -> bool {
-        let wishes = &self.queue.wishes;
-        wishes.baud_rate.is_some() || self.laser.is_due(wishes.laser)
+    /// Returns true if a setting is to be applied.
+    fn has_setting(&self) -> bool {
+        let desired = &self.queue.desired;
+        desired.baud_rate.is_some() || self.laser.is_due(desired.laser)
     }
 
-    /// Returns true if there was a wish to apply.
-    async fn apply_wish(&mut self, session: &mut Session) -> Result<bool, Stop> {
+    /// Returns true if there was a setting to apply.
+    async fn apply_setting(&mut self, session: &mut Session) -> Result<bool, Stop> {
         if self.apply_laser(session).await? {
             return Ok(true);
         }
-        let Some(baud_rate) = self.queue.wishes.baud_rate else { return Ok(false) };
+        let Some(baud_rate) = self.queue.desired.baud_rate else { return Ok(false) };
         Box::pin(self.apply_baud_rate(session, baud_rate)).await?;
         Ok(true)
     }
 
     async fn apply_laser(&mut self, session: &mut Session) -> Result<bool, Stop> {
-        let wish = self.queue.wishes.laser;
-        let Some(on) = wish.filter(|_| self.laser.is_due(wish)) else { return Ok(false) };
+        let desired = self.queue.desired.laser;
+        let Some(on) = desired.filter(|_| self.laser.is_due(desired)) else { return Ok(false) };
         let outcome = Box::pin(self.switch_laser(session, on, true)).await;
         ignore_command_errors(outcome)?;
         Ok(true)
     }
 
-    /// Drops pending input and sends a fence. If the sensor answers with a distance although its laser should be
-    /// off, it was reset: switches the laser off again.
-    async fn resynchronise(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
-        session.discard_pending().await?;
-        let status = session.fence().await?;
-        if self.laser.is_off() && status.is_ok() {
+    /// Probes the sensor. If it measures although its laser should be off, it was reset: switches
+    /// the laser off again.
+    async fn probe(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
+        if session.probe().await? && self.laser.is_off() {
             self.switch_laser(session, false, true).await?;
         }
         Ok(())
@@ -221,8 +220,9 @@ impl Service<'_> {
             }
             Request::BaudRate { baud_rate, responder } => {
                 let outcome = self.change_baud_rate(session, baud_rate).await;
-                let wish = &mut self.queue.wishes.baud_rate;
-                *wish = wish.filter(|wish| *wish != baud_rate || is_unplugged(&outcome));
+                let desired = &mut self.queue.desired.baud_rate;
+                *desired =
+                    desired.filter(|desired| *desired != baud_rate || is_unplugged(&outcome));
                 Self::respond(responder, outcome)
             }
             Request::Scan { window, responder } => {
@@ -239,7 +239,7 @@ impl Service<'_> {
         }
     }
 
-    /// Switches the laser as wished. Polls only while it is not switched off.
+    /// Switches the laser. Polls only while it is not switched off.
     async fn switch_laser(
         &mut self,
         session: &mut Session,
@@ -269,8 +269,8 @@ impl Service<'_> {
         session: &mut Session,
         baud_rate: BaudRate,
     ) -> Result<(), ExchangeError> {
-        let before = session.transport.baud_rate();
-        let mut outcome = baud_rate::change(session, baud_rate).await;
+        let before = session.baud_rate();
+        let mut outcome = session.set_baud_rate(baud_rate).await;
         if outcome.is_ok() {
             *self.baud_rate = Some(baud_rate);
             if self.laser.is_off() {
@@ -278,8 +278,8 @@ impl Service<'_> {
                 outcome = self.switch_laser(session, false, true).await;
             }
         }
-        if session.transport.baud_rate() != before {
-            self.telemetry.set_baud_rate(session.transport.baud_rate());
+        if session.baud_rate() != before {
+            self.telemetry.set_baud_rate(session.baud_rate());
         }
         outcome
     }
@@ -292,22 +292,22 @@ impl Service<'_> {
         baud_rate: BaudRate,
     ) -> Result<(), Stop> {
         let outcome = self.change_baud_rate(session, baud_rate).await;
-        let wishes = &mut self.queue.wishes;
-        wishes.attempts += u8::from(!is_unplugged(&outcome));
+        let desired = &mut self.queue.desired;
+        desired.attempts += u8::from(!is_unplugged(&outcome));
         let error = outcome.as_ref().err().map(ExchangeError::kind);
         let is_final = match error {
             Some(ErrorKind::Refused { .. } | ErrorKind::UnsupportedBaudRate { .. }) | None => true,
             // The sensor may have restarted at that moment.
-            Some(_) => wishes.attempts >= BAUD_RATE_ATTEMPTS,
+            Some(_) => desired.attempts >= BAUD_RATE_ATTEMPTS,
         };
         if is_final {
-            wishes.baud_rate = None;
+            desired.baud_rate = None;
             match error {
                 Some(error) => {
                     let error = ErrorChain(error);
                     tracing::warn!(%error, %baud_rate, "the baud rate is not changed");
                 }
-                None => wishes.attempts = 0,
+                None => desired.attempts = 0,
             }
         }
         ignore_command_errors(outcome)
@@ -320,17 +320,15 @@ impl Service<'_> {
         let mut tries = 2;
         loop {
             tries -= 1;
-            let mut polled = session.poll(window).await;
-            if let Err(failure) = polled {
-                polled = self.poll_again(session, window, failure).await;
+            let mut acquired = session.acquire(window).await;
+            if let Err(failure) = acquired {
+                acquired = self.poll_again(session, window, failure).await;
             }
-            match polled {
+            match acquired {
                 Err(ExchangeError::Command(
                     ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
                 )) if tries > 0 && !self.telemetry.is_closing() => {}
-                Ok(polled) => {
-                    return Ok(self.scan_from(window, polled, session.transport.timing()));
-                }
+                Ok(acquired) => return Ok(self.scan_from(window, acquired)),
                 Err(failure) => return Err(failure),
             }
         }
@@ -341,20 +339,19 @@ impl Service<'_> {
             self.schedules.publish(self.telemetry);
             return Ok(());
         };
-        // Instead of a fence, which costs a revolution: the line is then as quiet as before a
-        // poll of a slower grid.
+        // Earlier, the session would have to confirm the reply, which costs a revolution.
         if poll.rate.period().is_some()
             && let Some(copies_end) = session.copies_end(poll.window)
         {
             self.timer.wait(copies_end).await;
         }
-        let mut polled = session.poll(poll.window).await;
-        if let Err(failure) = polled {
-            polled = Box::pin(self.poll_again(session, poll.window, failure)).await;
+        let mut acquired = session.acquire(poll.window).await;
+        if let Err(failure) = acquired {
+            acquired = Box::pin(self.poll_again(session, poll.window, failure)).await;
         }
-        let ended = match polled {
-            Ok(polled) => {
-                let scan = self.scan_from(poll.window, polled, session.transport.timing());
+        let ended = match acquired {
+            Ok(acquired) => {
+                let scan = self.scan_from(poll.window, acquired);
                 self.schedules.deliver(poll, scan, session.believed_baud_rate())
             }
             Err(failure) => self.fail(poll, failure)?,
@@ -386,12 +383,12 @@ impl Service<'_> {
         session: &mut Session,
         window: Window,
         failure: ExchangeError,
-    ) -> Result<Polled, ExchangeError> {
+    ) -> Result<Acquired, ExchangeError> {
         let outcome = match failure {
-            ExchangeError::Command(ErrorKind::Refused { command, status, .. })
-                if self.queue.wishes.laser != Some(false) =>
+            ExchangeError::Command(refusal @ ErrorKind::Refused { .. })
+                if self.queue.desired.laser != Some(false) =>
             {
-                self.poll_with_laser_on(session, window, Refusal { command, status }).await
+                self.poll_with_laser_on(session, window, refusal).await
             }
             failure => Err(failure),
         };
@@ -405,14 +402,13 @@ impl Service<'_> {
         &mut self,
         session: &mut Session,
         window: Window,
-        refusal: Refusal,
-    ) -> Result<Polled, ExchangeError> {
-        self.laser.switch_on(session, window, refusal).await?;
-        let again = session.poll(window).await;
+        refusal: ErrorKind,
+    ) -> Result<Acquired, ExchangeError> {
+        self.laser.switch_on(session, window, refusal.clone()).await?;
+        let again = session.acquire(window).await;
         match &again {
             Ok(_) => {
-                let Refusal { status, .. } = refusal;
-                tracing::info!(%status, "the sensor refused a poll: switched its laser on");
+                tracing::info!(%refusal, "switched the laser on");
             }
             Err(ExchangeError::Command(ErrorKind::Refused { .. })) => {
                 self.laser.record_refusal(window, None);
@@ -437,23 +433,23 @@ impl Service<'_> {
     }
 
     /// Makes a scan of a reply, and learns from its arrival when the motor's revolutions end.
-    fn scan_from(&mut self, window: Window, polled: Polled, timing: &Timing) -> Scan {
+    fn scan_from(&mut self, window: Window, acquired: Acquired) -> Scan {
         self.laser.record_scan(window);
-        let Polled { values, first } = polled;
-        let clock = self.motor_clock.as_mut().filter(|_| !timing.is_replayed);
+        let Acquired { values, first, times } = acquired;
+        let clock = self.motor_clock.as_mut().filter(|_| !times.is_replayed);
         let (revolution, motor) = clock.map_or_else(Default::default, |clock| {
-            (clock.observe(timing.requested, timing.began), clock.stats())
+            (clock.observe(times.requested, times.began), clock.stats())
         });
         let mut stats = self.telemetry.stats();
-        stats.scanned(timing.requested, timing.received);
+        stats.scanned(times.requested, times.received);
         stats.motor = motor;
         drop(stats);
         let meta = ScanMeta {
             sequence: 0,
-            requested_at: timing.requested,
-            first_byte_at: timing.began,
-            received_at: timing.received,
-            stamp: timing.stamp,
+            requested_at: times.requested,
+            first_byte_at: times.began,
+            received_at: times.received,
+            stamp: times.stamp,
             lateness: revolution.lateness,
             postponed: Duration::ZERO,
             repeat: false,

@@ -125,11 +125,11 @@ impl Supervisor {
     }
 
     async fn serve(&mut self, session: &mut Session) -> Stop {
-        let baud_rate = session.transport.baud_rate();
+        let baud_rate = session.baud_rate();
         let serial_number = self.opener.serial_number();
         self.telemetry.enter(State::Connected { baud_rate, streaming: false, serial_number });
         let scan_time = self.opener.scan_time();
-        let probe_interval = self.config.idle_probe.interval(session.transport.can_die_silently());
+        let probe_interval = self.config.idle_probe.interval(session.can_die_silently());
         let reconnects = self.telemetry.stats().reconnects;
         let (laser, baud_rate) = self.opener.settings();
         let mut service = Service {
@@ -140,7 +140,7 @@ impl Supervisor {
             telemetry: &self.telemetry,
             scan_time,
             probe_interval,
-            motor_clock: session.transport.delivers_intact().then(|| MotorClock::new(scan_time)),
+            motor_clock: session.delivers_intact().then(|| MotorClock::new(scan_time)),
             ray_order: RayOrder::default(),
             reconnects,
             streaming: false,
@@ -158,7 +158,7 @@ impl Supervisor {
         let mut latest: Option<ErrorKind> = None;
         loop {
             // Streams see no error yet; the state has the reason.
-            let laser = self.offline.queue.wishes.laser;
+            let laser = self.offline.queue.desired.laser;
             let kind = match self.offline.run(None, self.opener.open(laser)).await? {
                 Ok(session) => return Ok(session),
                 Err(ended @ LinkError::Ended(_)) => return Err(ended.into()),
@@ -183,7 +183,7 @@ impl Supervisor {
     async fn recover(&mut self, mut session: Session, kind: ErrorKind) -> Result<Session, Stop> {
         self.telemetry.enter(State::Recovering);
         let error = self.telemetry.error(kind.clone());
-        let laser = self.offline.queue.wishes.laser;
+        let laser = self.offline.queue.desired.laser;
         let search = self.opener.find_again(&mut session, laser);
         let found = self.offline.run(Some(&error), search).await?;
         match found {
@@ -218,7 +218,7 @@ impl Supervisor {
         let mut latest = error;
         loop {
             self.offline.run(Some(&latest), self.opener.back_off(self.backoff.next())).await?;
-            let laser = self.offline.queue.wishes.laser;
+            let laser = self.offline.queue.desired.laser;
             let error = match self.offline.run(Some(&latest), self.opener.open(laser)).await? {
                 Ok(session) => {
                     self.telemetry.stats().reconnects += 1;

@@ -5,7 +5,8 @@ use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::protocol::{BaudRate, Command, MalformedError, Status, Text};
+use super::Operation;
+use crate::protocol::{BaudRate, MalformedError, Text};
 
 /// What failed, as [`Error::kind`](crate::Error::kind) returns it.
 ///
@@ -105,24 +106,32 @@ pub enum ErrorKind {
     /// The sensor did not answer in time.
     #[non_exhaustive]
     Timeout {
-        /// Command without a reply.
-        command: Command,
+        /// What the driver wanted.
+        operation: Operation,
+        /// Command without a reply, as text.
+        command: Text,
         /// Time from the command to the deadline.
         after: Duration,
     },
     /// The sensor refused the command.
     #[non_exhaustive]
     Refused {
-        /// Refused command.
-        command: Command,
+        /// What the driver wanted.
+        operation: Operation,
+        /// Refused command, as text.
+        command: Text,
         /// Status of the reply.
-        status: Status,
+        status: Text,
+        /// Meaning of the status, if it is known.
+        meaning: Option<&'static str>,
     },
     /// A reply was malformed.
     #[non_exhaustive]
     Malformed {
-        /// Command of the malformed reply.
-        command: Command,
+        /// What the driver wanted.
+        operation: Operation,
+        /// Command of the malformed reply, as text.
+        command: Text,
         /// Position, what was expected there, and what was found.
         source: MalformedError,
     },
@@ -131,12 +140,14 @@ pub enum ErrorKind {
     /// The sensor did not act on a command: its laser or baud rate stays as it was.
     #[non_exhaustive]
     NotConfirmed {
-        /// Command without effect.
-        command: Command,
+        /// What the driver wanted.
+        operation: Operation,
+        /// Command without effect, as text.
+        command: Text,
         /// Status of the reply, or `None` if there was no reply.
-        status: Option<Status>,
+        status: Option<Text>,
         /// Status with which the sensor refuses to measure, if the laser stays off.
-        refusal: Option<Status>,
+        refusal: Option<Text>,
     },
     /// This port does not support the baud rate.
     #[non_exhaustive]
@@ -273,12 +284,12 @@ impl fmt::Display for Sentence<'_> {
                 "{sensor} has the wrong serial number: expected {expected}, found {found}: plug in {expected}, or ask for {found}"
             ),
             ErrorKind::Disconnected { .. } => write!(f, "the link to {sensor} is lost"),
-            ErrorKind::Timeout { command, after } => {
+            ErrorKind::Timeout { command, after, .. } => {
                 write!(f, "{sensor} did not answer {command} within {} ms", after.as_millis())
             }
-            ErrorKind::Refused { command, status } => {
-                write!(f, "{sensor} refused {command} with status {status}")?;
-                match status.meaning(command) {
+            ErrorKind::Refused { command, status, meaning, .. } => {
+                write!(f, "{sensor} refused {command} with status '{status}'")?;
+                match meaning {
                     Some(meaning) => write!(f, ": {meaning}"),
                     None => Ok(()),
                 }
@@ -290,21 +301,21 @@ impl fmt::Display for Sentence<'_> {
                 f,
                 "the laser of {sensor} is switched off: switch it on before asking for scans"
             ),
-            ErrorKind::NotConfirmed { command, status, refusal } => {
-                match command {
-                    Command::LaserOn => write!(f, "the laser of {sensor} stays off")?,
-                    Command::LaserOff => write!(f, "the laser of {sensor} stays on")?,
+            ErrorKind::NotConfirmed { operation, command, status, refusal } => {
+                match operation {
+                    Operation::LaserOn => write!(f, "the laser of {sensor} stays off")?,
+                    Operation::LaserOff => write!(f, "the laser of {sensor} stays on")?,
                     _ => write!(f, "{sensor} keeps its baud rate")?,
                 }
                 match status {
-                    Some(status) => write!(f, ": it answered {command} with status {status}")?,
+                    Some(status) => write!(f, ": it answered {command} with status '{status}'")?,
                     None => write!(f, ": it did not answer {command}")?,
                 }
-                match (refusal, command) {
+                match (refusal, operation) {
                     (Some(refusal), _) => {
-                        write!(f, ", and refuses to measure with status {refusal}")?;
+                        write!(f, ", and refuses to measure with status '{refusal}'")?;
                     }
-                    (None, Command::LaserOff) => f.write_str(", and still measures")?,
+                    (None, Operation::LaserOff) => f.write_str(", and still measures")?,
                     (None, _) => f.write_str(", and did not act on it")?,
                 }
                 f.write_str("; power-cycle it")

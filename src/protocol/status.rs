@@ -64,8 +64,14 @@ impl From<Status> for char {
     }
 }
 
+impl From<Status> for Text {
+    fn from(status: Status) -> Self {
+        Self::from(&[status.0][..])
+    }
+}
+
 impl fmt::Display for Status {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "'{}'", Text::from(&[self.0][..]))
+        write!(f, "'{}'", Text::from(*self))
     }
 }

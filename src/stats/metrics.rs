@@ -89,7 +89,7 @@ impl Stats {
             bytes_skipped,
             missed,
             polls_skipped,
-            baud_rate_outrun,
+            baud_rate_disproved,
             reply_latency: latency,
             motor,
             schedules,
@@ -118,7 +118,7 @@ impl Stats {
             let help = "Malformed replies, by fault";
             all.push(count("urg_malformed_total", help, value).label("fault", fault));
         }
-        let outrun = "1 if replies came faster than the baud rate of the port carries, else 0";
+        let disproved = "1 if replies came faster than the baud rate of the port carries, else 0";
         all.extend([
             count("urg_fences_total", "Fences sent", *fences),
             count("urg_fence_timeouts_total", "Fences without an answer", *fence_timeouts),
@@ -127,7 +127,7 @@ impl Stats {
             count("urg_missed_total", "Scans that slow consumers missed", *missed),
             count("urg_polls_skipped_total", "Polls that were not sent in time", *polls_skipped),
             count("urg_skipped_bytes_total", "Bytes that were in no reply", *bytes_skipped),
-            gauge("urg_baud_rate_outrun", outrun, u8::from(*baud_rate_outrun).into()),
+            gauge("urg_baud_rate_disproved", disproved, u8::from(*baud_rate_disproved).into()),
         ]);
         if latency.count > 0 {
             let summary = |suffix, value| {

@@ -42,7 +42,7 @@ pub struct Stats {
     /// found or the baud rate changed. The port then uses another baud rate, or ignores it, as a
     /// pseudo-terminal, a sensor on USB and a serial server do. Limits computed from the baud rate
     /// do not apply.
-    pub baud_rate_outrun: bool,
+    pub baud_rate_disproved: bool,
     /// Times from a `G` to the last byte of its reply.
     pub reply_latency: LatencyStats,
     /// Motor of the sensor, on its own USB port. `None` while too few replies follow its

@@ -178,21 +178,21 @@ impl Hooks for ClaimBaudRate {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o26_prompt_replies_do_not_mark_it_outrun() {
+async fn o26_prompt_replies_disprove_no_baud_rate() {
     let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
     sensor.scan(WINDOW).await.unwrap();
     // Confirmed by a fence that is refused.
     sensor.laser_off().await.unwrap();
-    assert!(!sensor.stats().baud_rate_outrun);
+    assert!(!sensor.stats().baud_rate_disproved);
 }
 
 #[tokio::test(start_paused = true)]
-async fn o26_replies_faster_than_the_baud_rate_mark_it_as_outrun() {
+async fn o26_replies_faster_than_the_baud_rate_disprove_it() {
     let slow = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = open(&slow).await;
     sensor.scan(WINDOW).await.unwrap();
-    assert!(!sensor.stats().baud_rate_outrun);
+    assert!(!sensor.stats().baud_rate_disproved);
     let fast = truthful().pace(Pace::AtOnce).latency(ms(1)).usb().build();
     let sensor = builder()
         .connect(ConnectFn(move || Ok(Hooked { port: fast.link(), hooks: ClaimBaudRate })))
@@ -201,26 +201,26 @@ async fn o26_replies_faster_than_the_baud_rate_mark_it_as_outrun() {
     let mut stream = sensor.scans(Window::FULL, Rate::UNLIMITED).await.unwrap();
     scans(&mut stream, 20).await;
     let stats = sensor.stats();
-    assert!(stats.baud_rate_outrun && stats.malformed.total() == 0, "{stats:?}");
+    assert!(stats.baud_rate_disproved && stats.malformed.total() == 0, "{stats:?}");
     assert_eq!(stats.fences, 1, "a fence between polls on a link without a serial line");
 }
 
 #[tokio::test(start_paused = true)]
-async fn o26_a_scan_marks_the_baud_rate_as_outrun() {
+async fn o26_a_scan_disproves_the_baud_rate() {
     let fast = truthful().pace(Pace::AtOnce).latency(ms(100)).usb().build();
     let sensor = builder()
         .connect(ConnectFn(move || Ok(Hooked { port: fast.link(), hooks: ClaimBaudRate })))
         .await
         .unwrap();
-    assert!(!sensor.stats().baud_rate_outrun);
+    assert!(!sensor.stats().baud_rate_disproved);
     // 734 ms at 19,200 baud.
     sensor.scan(Window::DETECTION).await.unwrap();
-    assert!(sensor.stats().baud_rate_outrun);
+    assert!(sensor.stats().baud_rate_disproved);
 }
 
 /// A port that ignores its baud rate is replaced by a serial line.
 #[tokio::test(start_paused = true)]
-async fn o26_a_new_link_is_not_outrun() {
+async fn o26_a_new_link_has_no_disproved_baud_rate() {
     let fast = truthful().pace(Pace::AtOnce).latency(ms(1)).usb().build();
     let slow = truthful().baud_rate(BaudRate::B19200).build();
     let unplugged = fast.clone();
@@ -231,13 +231,13 @@ async fn o26_a_new_link_is_not_outrun() {
     };
     let sensor = builder().connect(ConnectFn(connect)).await.unwrap();
     sensor.scan(WINDOW).await.unwrap();
-    assert!(sensor.stats().baud_rate_outrun);
+    assert!(sensor.stats().baud_rate_disproved);
     let mut state = sensor.watch_state();
     unplugged.unplug();
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
     state.connected().await.unwrap();
     sensor.scan(WINDOW).await.unwrap();
-    assert!(!sensor.stats().baud_rate_outrun);
+    assert!(!sensor.stats().baud_rate_disproved);
 }
 
 #[tokio::test(start_paused = true)]

@@ -1,11 +1,10 @@
 //! Errors of a service that calls the crate with `?`.
 
-use std::collections::BTreeSet;
 use std::error::Error as StdError;
 use std::time::Duration;
 
 use tokio_scip::protocol::{BaudRateError, Command, MalformedError, Reply, ReplyError};
-use tokio_scip::protocol::{Window, WindowError};
+use tokio_scip::protocol::{Window, WindowError, scip2};
 use tokio_scip::scan::ScanError;
 use tokio_scip::state::StaleError;
 use tokio_scip::{BaudRate, Error, ErrorKind, Rate, Scan};
@@ -24,7 +23,7 @@ fn convert<E: StdError + Clone + Into<Error> + 'static>(error: E) -> &'static st
 }
 
 /// Names of the public error types in a folder of sources.
-fn error_types(folder: &std::path::Path, found: &mut BTreeSet<String>) {
+fn error_types(folder: &std::path::Path, found: &mut Vec<String>) {
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         if path.is_dir() {
@@ -43,7 +42,14 @@ fn error_types(folder: &std::path::Path, found: &mut BTreeSet<String>) {
 async fn every_error_converts_with_question_mark() {
     let sensor = builder().connect(Emulator::default()).await.unwrap();
     let stale = sensor.freshness().check(Duration::ZERO).unwrap_err();
-    let converted = [
+    let command = scip2::Command::LaserOn;
+    let request = scip2::Request::new(command, scip2::Labels::starting_at(0).next_label());
+    let frame = [request.bytes(), b"\n"].concat();
+    let malformed = match scip2::Reply::parse(&request, &frame).unwrap_err() {
+        scip2::ReplyError::Malformed(malformed) => malformed,
+        other => panic!("{other:?}"),
+    };
+    let mut converted = [
         convert::<WindowError>(Window::new(0..=769).unwrap_err()),
         convert::<BaudRateError>(BaudRate::try_from(9600).unwrap_err()),
         convert("0".parse::<Rate>().unwrap_err()),
@@ -51,9 +57,14 @@ async fn every_error_converts_with_question_mark() {
         convert::<ReplyError>(Reply::parse(&Command::Version, b"L1\n0").unwrap_err()),
         convert::<MalformedError>(MalformedError::NoData),
         convert::<StaleError>(stale),
+        convert::<scip2::ParameterError>(scip2::MotorSpeed::new(11).unwrap_err()),
+        convert::<scip2::ReplyError>(scip2::ReplyError::Uam),
+        convert::<scip2::MalformedError>(malformed),
     ];
-    let mut public = BTreeSet::new();
+    let mut public = Vec::new();
     error_types(&std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), &mut public);
-    public.remove("Error");
-    assert_eq!(public, converted.map(str::to_owned).into());
+    public.retain(|name| name != "Error");
+    public.sort();
+    converted.sort_unstable();
+    assert_eq!(public, converted);
 }

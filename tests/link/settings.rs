@@ -1,8 +1,7 @@
 //! Laser and baud rate: set, confirmed, and restored.
 
 use crate::common::{builder, ms, truthful};
-use tokio_scip::protocol::Command;
-use tokio_scip::{BaudRate, ErrorKind, Rate, Sensor, State, Window};
+use tokio_scip::{BaudRate, ErrorKind, Operation, Rate, Sensor, State, Window};
 use urg_emulator::{Emulator, Fault, Faults, Firmware, Pace};
 
 async fn open(emulator: &Emulator) -> Sensor {
@@ -93,7 +92,7 @@ async fn t04_an_error_names_the_command_that_failed_and_not_the_fence() {
     emulator.set_faults(Faults::none().rate(1.0, Fault::CommandLost));
     let error = sensor.laser_off().await.unwrap_err();
     assert!(
-        matches!(error.kind(), ErrorKind::Timeout { command: Command::LaserOff, .. }),
+        matches!(error.kind(), ErrorKind::Timeout { operation: Operation::LaserOff, .. }),
         "{error:?}"
     );
 }
@@ -226,8 +225,10 @@ async fn a_command_has_its_latency_and_wire_time() {
     let sensor = open(&emulator).await;
     emulator.set_faults(Faults::none().at(0, Fault::Lost).at(2, Fault::Lost));
     let error = sensor.scan(Window::DETECTION).await.unwrap_err();
-    let ErrorKind::Timeout { command: Command::Distances(asked), after, .. } = error.kind() else {
+    let ErrorKind::Timeout { operation: Operation::Scan, command, after, .. } = error.kind() else {
         panic!("{error:?}");
     };
-    assert_eq!(*after, ms(500) + asked.wire_time(BaudRate::B19200));
+    let command = command.to_string();
+    let asked = Window::new(command[1..4].parse().unwrap()..=command[4..7].parse().unwrap());
+    assert_eq!(*after, ms(500) + asked.unwrap().wire_time(BaudRate::B19200));
 }

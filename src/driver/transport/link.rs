@@ -5,15 +5,14 @@ use std::future::poll_fn;
 use std::io;
 use std::sync::Arc;
 use std::task::{Context, Poll, ready};
-use std::time::Duration;
 
 use tokio::time::Instant;
 
-use super::super::failure::{ExchangeError, LinkError};
+use super::super::failure::LinkError;
 use super::pause::Pauses;
-use super::{Timing, Transport, promptly};
+use super::{Transport, promptly};
 use crate::port::PortHints;
-use crate::protocol::{Command, Text};
+use crate::protocol::Text;
 use crate::{BaudRate, ErrorKind};
 
 impl Transport {
@@ -56,15 +55,6 @@ impl Transport {
         self.adjustable
     }
 
-    /// How long the sensor may take to begin its answer.
-    pub(crate) fn latency(&self, command: &Command) -> Duration {
-        let usual = match command {
-            Command::Distances(_) => Duration::from_millis(500),
-            _ => Duration::from_secs(1),
-        };
-        self.latency.unwrap_or(usual)
-    }
-
     /// Number of bytes received so far.
     pub(crate) fn received(&self) -> u64 {
         self.received
@@ -97,7 +87,7 @@ impl Transport {
     }
 
     /// Waits for bytes while no command is outstanding. They are [pending](Self::pending) then.
-    pub(crate) fn poll_idle(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), ExchangeError>> {
+    pub(crate) fn poll_idle(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), LinkError>> {
         Poll::Ready(match ready!(promptly(cx, |cx| self.poll_read(cx))) {
             Ok(0) => Err(self.lost(None)),
             Ok(_) => Ok(()),
@@ -105,19 +95,9 @@ impl Transport {
         })
     }
 
-    /// Times of the latest command and its reply.
-    pub(crate) fn timing(&self) -> &Timing {
-        &self.timing
-    }
-
-    #[cfg(test)]
-    pub(crate) fn set_times(&mut self, requested: Instant, received: Instant) {
-        (self.timing.requested, self.timing.received) = (requested, received);
-    }
-
-    /// Outcome of an exchange on a failed port. `error` is `None` at the end of the stream.
+    /// Failure of the port. `error` is `None` at the end of the stream.
     #[cold]
-    pub(super) fn lost(&mut self, error: Option<io::Error>) -> ExchangeError {
+    pub(super) fn lost(&mut self, error: Option<io::Error>) -> LinkError {
         let is_over = self.port.hints().is_some_and(PortHints::is_over);
         match (is_over, error) {
             (false, error) => LinkError::Lost(match self.words() {
@@ -127,6 +107,5 @@ impl Transport {
             (true, None) => LinkError::Ended(ErrorKind::Closed),
             (true, error) => LinkError::Ended(ErrorKind::disconnected(error)),
         }
-        .into()
     }
 }

@@ -1,5 +1,5 @@
-//! [`Transport`]: sends one command and receives frames until a deadline. It knows a port, a
-//! codec and a clock, but not which frame answers which command.
+//! [`Transport`]: sends bytes and receives the frames that are expected until a deadline. It knows
+//! a port, a codec and a clock, but no command.
 //!
 //! The codec finds a frame, and `pause` decides when to sleep while one arrives.
 
@@ -24,18 +24,10 @@ use tokio::time::{Instant, Sleep, sleep_until};
 
 use self::greeting::Greeting;
 use self::pause::Pauses;
-use super::failure::ExchangeError;
-use crate::ErrorKind;
-use crate::codec::{FoundFrame, ScipCodec, TERMINATOR};
+use super::failure::LinkError;
+use crate::codec::{ExpectedReply, FoundFrame, ScipCodec, TERMINATOR};
 use crate::port::{Port, PortHints};
-use crate::protocol::Command;
 
-/// After this many frames for one command, the link counts as flooded.
-const MAX_FRAMES: usize = 64;
-/// Number of bytes that may arrive between two commands. A sensor answers a command with at
-/// most 1,576. Without this limit, a line that always has more to read would keep the driver
-/// from checking its deadline.
-const FLOOD_BYTES: u64 = 64 * 1024;
 /// Room for any reply of a sensor; the longest has 1,576 bytes. A little more, because a
 /// read that fills the buffer needs a second one to see the end. Garbage can make the buffer
 /// grow to 8 KiB.
@@ -58,23 +50,24 @@ pub(crate) struct Transport {
     /// Received bytes. Frames are judged in place: a copy of one would be a second allocation a
     /// scan.
     input: BytesMut,
-    /// Number of bytes received so far, and before the latest command was written.
+    /// Number of bytes received so far.
     received: u64,
-    received_before: u64,
     greeting: Greeting,
-    /// Number of frames since the latest command.
+    /// What may arrive, and how many bytes and frames had arrived when it was expected.
+    limits: &'static Limits,
+    received_before: u64,
     frames: usize,
     /// When the latest frame arrived.
     latest_at: Option<Instant>,
     /// Latest command, as it is written, and the number of bytes written.
     output: BytesMut,
     written: usize,
-    /// Times of the latest command and its reply.
-    timing: Timing,
-    /// True once a byte of that reply has arrived.
-    has_begun: bool,
+    /// When the latest command was written.
+    requested: Instant,
+    /// Beginning of the frame that is arriving.
+    beginning: Option<Beginning>,
     /// End of the exchange.
-    deadline: Deadline,
+    deadline: Instant,
     /// End of the pause, if there is one now.
     paused_until: Option<Instant>,
     deadline_timer: Timer,
@@ -83,25 +76,33 @@ pub(crate) struct Transport {
     /// Retries calls that the port refused.
     retry_timer: Timer,
     pauses: Pauses,
-    /// How long the sensor may take to begin its answer, if set.
-    latency: Option<Duration>,
     /// True if a command may have been written only in part.
     interrupted: bool,
     /// True if the port can change its baud rate.
     adjustable: bool,
 }
 
-/// Absolute deadline of an exchange: the wire time of the command and its reply at the
-/// port's baud rate, and a latency.
+/// What to expect after a command, or next of frames that come unasked.
 #[derive(Debug, Clone, Copy)]
-struct Deadline {
-    command: Command,
-    at: Instant,
+pub(crate) struct Expected {
+    /// Head and length of the reply, if they are known.
+    pub(crate) reply: Option<ExpectedReply>,
+    pub(crate) limits: &'static Limits,
+}
+
+/// What may arrive until something else is expected. More is a flood: without limits, a line that
+/// always has more to read would keep the driver from checking its deadline.
+#[derive(Debug)]
+pub(crate) struct Limits {
+    /// Length of the longest frame in bytes.
+    pub(crate) frame: usize,
+    pub(crate) frames: usize,
+    pub(crate) bytes: u64,
 }
 
 /// Times of a command and its reply.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Timing {
+pub(crate) struct ReplyTimes {
     pub(crate) requested: Instant,
     /// When the first byte was read.
     pub(crate) began: Instant,
@@ -113,37 +114,63 @@ pub(crate) struct Timing {
     pub(crate) is_replayed: bool,
 }
 
+/// Time of a reply's first byte.
+#[derive(Debug, Clone, Copy)]
+struct Beginning {
+    at: Instant,
+    stamp: SystemTime,
+    is_replayed: bool,
+}
+
 /// Frame received after a command. Dropping it removes it from the input.
 #[derive(Debug)]
 pub(crate) struct ReceivedFrame<'a> {
     input: &'a mut BytesMut,
     frame: FoundFrame,
-    pub(crate) timing: &'a Timing,
+    pub(crate) times: ReplyTimes,
+}
+
+/// Why no frame was received.
+#[derive(Debug)]
+pub(crate) enum NoFrame {
+    /// The deadline passed this long after the command.
+    Late {
+        after: Duration,
+    },
+    Link(LinkError),
+}
+
+impl From<LinkError> for NoFrame {
+    fn from(failure: LinkError) -> Self {
+        Self::Link(failure)
+    }
 }
 
 impl Transport {
-    pub(crate) fn new(port: Box<dyn Port>, latency: Option<Duration>, interrupted: bool) -> Self {
-        let (now, stamp) = (Instant::now(), SystemTime::now());
+    /// Takes an open port, on which `limits` apply before the first command. `interrupted` is true
+    /// if the sensor may hold part of a command.
+    pub(crate) fn new(port: Box<dyn Port>, limits: &'static Limits, interrupted: bool) -> Self {
+        let now = Instant::now();
         Self {
             port,
             codec: ScipCodec::default(),
             input: BytesMut::with_capacity(READ_BUFFER_BYTES),
             received: 0,
-            received_before: 0,
             greeting: Greeting::default(),
+            limits,
+            received_before: 0,
             frames: 0,
             latest_at: None,
             output: BytesMut::with_capacity(WRITE_BUFFER_BYTES),
             written: 0,
-            timing: Timing { requested: now, began: now, received: now, stamp, is_replayed: false },
-            has_begun: false,
-            deadline: Deadline { command: Command::Version, at: now },
+            requested: now,
+            beginning: None,
+            deadline: now,
             paused_until: None,
             deadline_timer: Timer::default(),
             pause_timer: Timer::default(),
             retry_timer: Timer::default(),
             pauses: Pauses::default(),
-            latency,
             interrupted,
             adjustable: false,
         }
@@ -151,7 +178,7 @@ impl Transport {
 
     /// Drops the bytes received since the last reply, because they are older than the next
     /// command. Returns their number.
-    pub(crate) async fn discard_pending(&mut self) -> Result<u64, ExchangeError> {
+    pub(crate) async fn discard_pending(&mut self) -> Result<u64, LinkError> {
         if let Some(outcome) = self.try_discard_pending() {
             return outcome;
         }
@@ -171,7 +198,7 @@ impl Transport {
     }
 
     /// Does the same without waiting. Returns `None` if the port cannot be read so.
-    pub(crate) fn try_discard_pending(&mut self) -> Option<Result<u64, ExchangeError>> {
+    pub(crate) fn try_discard_pending(&mut self) -> Option<Result<u64, LinkError>> {
         self.drop_bytes(try_read)
     }
 
@@ -179,11 +206,12 @@ impl Transport {
     /// [`next_frame`](Self::next_frame).
     pub(crate) async fn ask(
         &mut self,
-        command: &Command,
-        latency: Duration,
-    ) -> Result<ReceivedFrame<'_>, ExchangeError> {
+        command: &[u8],
+        expected: &Expected,
+        within: Duration,
+    ) -> Result<ReceivedFrame<'_>, NoFrame> {
         consume_budget().await;
-        self.begin_exchange(command, latency);
+        self.begin_exchange(command, expected, within);
         self.begin_frame()?;
         let frame = poll_fn(|cx| {
             promptly(cx, |cx| {
@@ -195,33 +223,20 @@ impl Transport {
         Ok(self.end_frame(frame))
     }
 
-    /// Writes `command`, after an LF if the sensor may hold part of another one. Its reply may take
-    /// `latency` to begin.
+    /// Writes `command` and an LF, after another LF if the sensor may hold part of a command. What is
+    /// expected may arrive for the time `within`.
     ///
     /// # Errors
     ///
-    /// [`Timeout`](crate::ErrorKind::Timeout) at the deadline.
+    /// [`NoFrame::Late`] at the deadline.
     pub(crate) async fn send(
         &mut self,
-        command: &Command,
-        latency: Duration,
-    ) -> Result<(), ExchangeError> {
-        self.send_after(b"", command, latency).await
-    }
-
-    /// Writes other bytes, and `command` as [`send`](Self::send) does.
-    pub(crate) async fn send_after(
-        &mut self,
-        bytes: &[u8],
-        command: &Command,
-        latency: Duration,
-    ) -> Result<(), ExchangeError> {
+        command: &[u8],
+        expected: &Expected,
+        within: Duration,
+    ) -> Result<(), NoFrame> {
         consume_budget().await;
-        self.begin_exchange(command, latency);
-        let line = self.output.len() - command.bytes().len() - 1;
-        let line = self.output.split_off(line);
-        self.output.put_slice(bytes);
-        self.output.put_slice(&line);
+        self.begin_exchange(command, expected, within);
         poll_fn(|cx| promptly(cx, |cx| self.poll_write(cx))).await
     }
 
@@ -230,8 +245,8 @@ impl Transport {
     ///
     /// # Errors
     ///
-    /// [`Timeout`](crate::ErrorKind::Timeout) at the deadline.
-    pub(crate) async fn next_frame(&mut self) -> Result<ReceivedFrame<'_>, ExchangeError> {
+    /// [`NoFrame::Late`] at the deadline.
+    pub(crate) async fn next_frame(&mut self) -> Result<ReceivedFrame<'_>, NoFrame> {
         self.begin_frame()?;
         let frame = poll_fn(|cx| promptly(cx, |cx| self.poll_frame(cx))).await?;
         Ok(self.end_frame(frame))
@@ -239,58 +254,65 @@ impl Transport {
 
     /// Call it after `consume_budget`. The calls on the port take none: if its replies are ready at
     /// once, the driver would never let other tasks run.
-    fn begin_exchange(&mut self, command: &Command, latency: Duration) {
-        self.frames = 0;
-        self.received_before = self.received;
+    fn begin_exchange(&mut self, command: &[u8], expected: &Expected, within: Duration) {
         self.output.clear();
         if self.interrupted {
             self.output.put_u8(b'\n');
         }
-        self.codec.write(command, &mut self.output);
+        self.output.put_slice(command);
+        self.output.put_u8(b'\n');
         // Stays set if the future is dropped half way.
         self.interrupted = true;
         self.written = 0;
-        let wire =
-            self.baud_rate().map_or(Duration::ZERO, |baud_rate| command.wire_time(baud_rate));
-        self.timing.requested = Instant::now();
-        self.deadline =
-            Deadline { command: *command, at: self.timing.requested + (wire + latency) };
+        self.requested = Instant::now();
+        self.expect(expected, self.requested + within);
     }
 
-    fn begin_frame(&mut self) -> Result<(), ExchangeError> {
-        if self.frames == MAX_FRAMES {
-            return Err(self.lost(Some(flood())));
+    /// Expects this until `deadline`. Counts what arrives anew.
+    fn expect(&mut self, expected: &Expected, deadline: Instant) {
+        self.codec.expect(expected.reply, expected.limits.frame);
+        (self.limits, self.deadline) = (expected.limits, deadline);
+        (self.received_before, self.frames) = (self.received, 0);
+    }
+
+    fn begin_frame(&mut self) -> Result<(), LinkError> {
+        if self.frames == self.limits.frames {
+            return Err(self.lost(Some(flood(self.limits))));
         }
         self.frames += 1;
         self.pauses.begin_reply();
-        (self.has_begun, self.paused_until) = (false, None);
+        (self.beginning, self.paused_until) = (None, None);
         Ok(())
     }
 
     fn end_frame(&mut self, frame: FoundFrame) -> ReceivedFrame<'_> {
-        if !self.has_begun {
-            self.begin_reply();
-        }
+        let Beginning { at, stamp, is_replayed } = match self.beginning {
+            Some(beginning) => beginning,
+            None => self.begin_reply(),
+        };
         let received = Instant::now();
-        self.timing.received = received;
+        let times =
+            ReplyTimes { requested: self.requested, began: at, received, stamp, is_replayed };
         self.latest_at = Some(received);
         self.pauses.end_reply(received, frame.wire_len());
-        ReceivedFrame { input: &mut self.input, frame, timing: &self.timing }
+        ReceivedFrame { input: &mut self.input, frame, times }
     }
 
     /// Writes the rest of the command.
-    fn poll_write(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), ExchangeError>> {
+    fn poll_write(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), NoFrame>> {
         while let Some(rest @ [_, ..]) = self.output.get(self.written..) {
             let outcome = Pin::new(&mut self.port).poll_write(cx, rest);
             match again_if_interrupted(outcome, &mut self.retry_timer, cx) {
                 Poll::Ready(Ok(more @ 1..)) => self.written += more,
                 Poll::Ready(Ok(0)) => {
-                    return Poll::Ready(Err(self.lost(Some(io::ErrorKind::WriteZero.into()))));
+                    return Poll::Ready(Err(self
+                        .lost(Some(io::ErrorKind::WriteZero.into()))
+                        .into()));
                 }
                 Poll::Ready(Err(error)) => {
                     // What a server wrote before it closed the connection is still readable.
                     while let Poll::Ready(Ok(1..)) = self.poll_read(cx) {}
-                    return Poll::Ready(Err(self.lost(Some(error))));
+                    return Poll::Ready(Err(self.lost(Some(error)).into()));
                 }
                 Poll::Pending => return self.poll_deadline(cx),
             }
@@ -301,7 +323,7 @@ impl Transport {
 
     /// Reads until a frame is at the front of the input, or the deadline has passed. Pauses when
     /// that is worthwhile.
-    fn poll_frame(&mut self, cx: &mut Context<'_>) -> Poll<Result<FoundFrame, ExchangeError>> {
+    fn poll_frame(&mut self, cx: &mut Context<'_>) -> Poll<Result<FoundFrame, NoFrame>> {
         loop {
             if let Some(until) = self.paused_until {
                 ready!(self.pause_timer.poll(cx, until));
@@ -313,13 +335,15 @@ impl Transport {
                 return Poll::Ready(Ok(frame));
             }
             match self.poll_read(cx) {
-                Poll::Ready(Ok(0)) => return Poll::Ready(Err(self.lost(None))),
-                Poll::Ready(Err(error)) => return Poll::Ready(Err(self.lost(Some(error)))),
+                Poll::Ready(Ok(0)) => return Poll::Ready(Err(self.lost(None).into())),
+                Poll::Ready(Err(error)) => return Poll::Ready(Err(self.lost(Some(error)).into())),
                 Poll::Ready(Ok(read)) => {
                     let fresh = self.input.len().saturating_sub(read);
                     // The codec skips the NULs that a line leaves in front of a reply when it
                     // changes its speed or breaks.
-                    if !self.has_begun && self.input.iter().skip(fresh).any(|byte| *byte != 0) {
+                    if self.beginning.is_none()
+                        && self.input.iter().skip(fresh).any(|byte| *byte != 0)
+                    {
                         self.begin_reply();
                     }
                     continue;
@@ -328,7 +352,7 @@ impl Transport {
             }
             let missing = self.codec.missing(&self.input);
             let pause = missing
-                .and_then(|missing| self.pauses.next(self.input.len(), missing, self.deadline.at));
+                .and_then(|missing| self.pauses.next(self.input.len(), missing, self.deadline));
             if pause.is_none() || !self.port.hints().is_some_and(PortHints::suspend_wakeups) {
                 return self.poll_deadline(cx);
             }
@@ -337,24 +361,17 @@ impl Transport {
     }
 
     /// Records that a reply begins now.
-    fn begin_reply(&mut self) {
-        self.has_begun = true;
-        self.timing.began = Instant::now();
+    fn begin_reply(&mut self) -> Beginning {
+        let at = Instant::now();
         let recorded = self.port.hints().and_then(|hints| hints.wall_clock());
-        self.timing.stamp = recorded.unwrap_or_else(SystemTime::now);
-        self.timing.is_replayed = recorded.is_some();
+        let stamp = recorded.unwrap_or_else(SystemTime::now);
+        *self.beginning.insert(Beginning { at, stamp, is_replayed: recorded.is_some() })
     }
 
     /// Fails at the deadline. Polled last, so that work succeeds if it is done at its deadline.
-    fn poll_deadline<T>(&mut self, cx: &mut Context<'_>) -> Poll<Result<T, ExchangeError>> {
-        ready!(self.deadline_timer.poll(cx, self.deadline.at));
-        Poll::Ready(Err(self.missed_deadline()))
-    }
-
-    #[cold]
-    fn missed_deadline(&self) -> ExchangeError {
-        let Deadline { command, at } = self.deadline;
-        ExchangeError::Command(ErrorKind::Timeout { command, after: at - self.timing.requested })
+    fn poll_deadline<T>(&mut self, cx: &mut Context<'_>) -> Poll<Result<T, NoFrame>> {
+        ready!(self.deadline_timer.poll(cx, self.deadline));
+        Poll::Ready(Err(NoFrame::Late { after: self.deadline - self.requested }))
     }
 
     /// Reads more bytes into the input, and returns their number.
@@ -373,7 +390,7 @@ impl Transport {
     fn drop_bytes(
         &mut self,
         mut read: impl FnMut(&mut Box<dyn Port>, &mut [u8]) -> Option<io::Result<usize>>,
-    ) -> Option<Result<u64, ExchangeError>> {
+    ) -> Option<Result<u64, LinkError>> {
         let before = self.received - self.input.len() as u64;
         let mut scratch = [0; SCRATCH_BYTES];
         let mut interrupted = 0;
@@ -404,9 +421,10 @@ impl Transport {
         Some(Ok(self.received - before))
     }
 
-    /// Fails if too many bytes have arrived since the latest command.
+    /// Fails if more bytes have arrived than may.
     fn check_flood(&self) -> io::Result<()> {
-        if self.received - self.received_before > FLOOD_BYTES { Err(flood()) } else { Ok(()) }
+        let received = self.received - self.received_before;
+        if received > self.limits.bytes { Err(flood(self.limits)) } else { Ok(()) }
     }
 
     fn clear_input(&mut self) {
@@ -455,11 +473,13 @@ impl Drop for ReceivedFrame<'_> {
 
 /// Error for a line that sends far more than any sensor does.
 #[cold]
-fn flood() -> io::Error {
-    io::Error::new(
-        io::ErrorKind::InvalidData,
-        "expected at most 64 KiB and 64 replies after a command, found more: check that the port leads to a sensor",
-    )
+fn flood(limits: &Limits) -> io::Error {
+    let Limits { frames, bytes, .. } = limits;
+    let text = format!(
+        "expected at most {} KiB and {frames} replies after a command, found more: check that the port leads to a sensor",
+        bytes / 1024
+    );
+    io::Error::new(io::ErrorKind::InvalidData, text)
 }
 
 /// Polls `work`, also without tokio's budget: once it is used up, a port that takes part returns

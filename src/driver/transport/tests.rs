@@ -10,12 +10,14 @@ use super::super::failure::LinkError;
 use super::scripted_port::ScriptedPort;
 use super::*;
 use crate::port::StreamPort;
-use crate::{BaudRate, Window};
+use crate::{BaudRate, ErrorKind};
 
-const LATENCY: Duration = Duration::from_millis(100);
+const LIMIT: Duration = Duration::from_millis(100);
+const LIMITS: Limits = Limits { frame: 4096, frames: 64, bytes: 64 * 1024 };
+const ANY: Expected = Expected { reply: None, limits: &LIMITS };
 
 fn on(port: impl Port) -> Transport {
-    Transport::new(Box::new(port), None, true)
+    Transport::new(Box::new(port), &LIMITS, true)
 }
 
 /// Creates a transport at 19,200 baud that receives these bytes in one piece.
@@ -36,7 +38,7 @@ fn transports(reads: &[Result<usize, io::ErrorKind>]) -> [Transport; 2] {
 
 /// Drops pending bytes, and returns their number.
 async fn discard(transport: &mut Transport) -> Result<u64, ErrorKind> {
-    transport.discard_pending().await.map_err(|failure| LinkError::from(failure).into_kind())
+    transport.discard_pending().await.map_err(LinkError::into_kind)
 }
 
 #[tokio::test]
@@ -69,11 +71,8 @@ async fn o15_a_port_that_is_interrupted_for_ever_blocks_nobody() {
         assert_eq!(reads.load(Ordering::Relaxed), 16);
     }
     let (mut transport, _) = refusing(io::ErrorKind::Interrupted, false);
-    let outcome = transport.ask(&Command::LaserOff, LATENCY).await;
-    assert!(
-        matches!(outcome, Err(ExchangeError::Command(ErrorKind::Timeout { .. }))),
-        "{outcome:?}"
-    );
+    let outcome = transport.ask(b"L0", &ANY, LIMIT).await;
+    assert!(matches!(outcome, Err(NoFrame::Late { .. })), "{outcome:?}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -97,7 +96,7 @@ async fn too_many_bytes_are_a_flood() {
     let quiet = Err(io::ErrorKind::WouldBlock);
     let reads = [all_but_one.as_slice(), &[Ok(1), quiet]].concat();
     for mut transport in transports(&reads) {
-        assert_eq!(discard(&mut transport).await.unwrap(), FLOOD_BYTES);
+        assert_eq!(discard(&mut transport).await.unwrap(), LIMITS.bytes);
     }
     let reads = [all_but_one.as_slice(), &[Ok(2), quiet]].concat();
     for mut transport in transports(&reads) {
@@ -138,32 +137,50 @@ async fn an_empty_budget_is_no_quiet_line() {
 async fn a_late_reply_is_seen_without_budget() {
     let (near, mut far) = tokio::io::duplex(64);
     let mut transport = on(StreamPort(near));
-    transport.send(&Command::LaserOff, Duration::ZERO).await.unwrap();
+    transport.send(b"L0", &ANY, Duration::ZERO).await.unwrap();
     far.write_all(b"L0\n0\n\n").await.unwrap();
     use_up_budget().await;
     let received = transport.next_frame().await;
     assert_eq!(received.unwrap().frame(), FoundFrame::Reply(&b"L0\n0"[..]));
     let outcome = transport.next_frame().await;
-    assert!(matches!(outcome, Err(ExchangeError::Command(ErrorKind::Timeout { .. }))));
+    assert!(matches!(outcome, Err(NoFrame::Late { .. })));
 }
 
 #[tokio::test(start_paused = true)]
 async fn a_missing_reply_times_out() {
-    // 3 bytes and 6 bytes of 520.8 us, and 10 and 1,576.
-    for (command, wire) in
-        [(Command::LaserOff, 4_687_500), (Command::Distances(Window::FULL), 826_041_666)]
-    {
-        let limit = Duration::from_nanos(wire) + LATENCY;
+    for limit in [LIMIT, Duration::from_nanos(826_041_666)] {
         let (mut transport, start) = (transport(b""), Instant::now());
-        let outcome = transport.ask(&command, LATENCY).await;
-        let Err(ExchangeError::Command(ErrorKind::Timeout { after, .. })) = outcome else {
-            panic!("{outcome:?}")
-        };
+        let outcome = transport.ask(b"L0", &ANY, limit).await;
+        let Err(NoFrame::Late { after }) = outcome else { panic!("{outcome:?}") };
         assert_eq!(after, limit);
         let waited = start.elapsed();
         // tokio's timers count whole milliseconds.
         assert!(waited >= limit && waited < limit + Duration::from_millis(2), "{waited:?}");
     }
+}
+
+#[tokio::test(start_paused = true)]
+async fn frames_that_are_expected_are_no_flood() {
+    const LONG: Limits = Limits { frame: 8192, frames: 1, bytes: 16_384 };
+    let (near, mut far) = tokio::io::duplex(4096);
+    let mut transport = on(StreamPort(near));
+    let frame = [b'x'; 6715];
+    let send = async {
+        for _ in 0..100 {
+            far.write_all(&[&frame[..], b"\n\n"].concat()).await.unwrap();
+        }
+    };
+    let receive = async {
+        let expected = Expected { reply: None, limits: &LONG };
+        transport.send(b"ME", &expected, LIMIT).await.unwrap();
+        for _ in 0..100 {
+            let received = transport.next_frame().await.unwrap();
+            assert_eq!(received.frame(), FoundFrame::Reply(&frame[..]));
+            drop(received);
+            transport.expect(&expected, Instant::now() + LIMIT);
+        }
+    };
+    tokio::join!(send, receive);
 }
 
 #[tokio::test(start_paused = true)]
@@ -177,9 +194,9 @@ async fn a_nul_in_front_begins_no_reply() {
             far.write_all(piece).await.unwrap();
         }
     };
-    let ask = transport.ask(&Command::LaserOff, Duration::from_secs(1));
+    let ask = transport.ask(b"L0", &ANY, Duration::from_secs(1));
     let (received, ()) = tokio::join!(ask, send);
-    let timing = received.unwrap().timing;
-    assert_eq!(timing.began - begin, Duration::from_millis(160));
-    assert_eq!(timing.received - begin, Duration::from_millis(240));
+    let times = received.unwrap().times;
+    assert_eq!(times.began - begin, Duration::from_millis(160));
+    assert_eq!(times.received - begin, Duration::from_millis(240));
 }

@@ -67,7 +67,7 @@ impl Measured {
         // This request waits for the poll in flight, so that `after` counts its outcome.
         let _ = sensor.laser_on().await;
         let after = sensor.stats();
-        let baud_rate = link_rate.filter(|_| !after.baud_rate_outrun);
+        let baud_rate = link_rate.filter(|_| !after.baud_rate_disproved);
         Ok(Self { window, baud_rate, rate, asked, scans, before, after })
     }
 

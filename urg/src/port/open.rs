@@ -62,7 +62,7 @@ fn spawn(builder: SensorBuilder, connect: impl Connect) -> Sensor {
 /// Baud rate of the line. `None` on USB, and on a port that ignores its baud rate, as fast replies
 /// have shown.
 pub(crate) fn line_baud_rate(sensor: &Sensor) -> Option<BaudRate> {
-    sensor.watch_state().get().baud_rate().filter(|_| !sensor.stats().baud_rate_outrun)
+    sensor.watch_state().get().baud_rate().filter(|_| !sensor.stats().baud_rate_disproved)
 }
 
 /// Explains a port that ignores its baud rate, as pseudo-terminals and some adapters do. Such
@@ -79,10 +79,10 @@ pub(crate) fn ignored_baud_rate(baud_rate: BaudRate) -> String {
 /// baud rate counts as correct.
 pub(crate) async fn proven_baud_rate(sensor: &Sensor) -> Option<(BaudRate, Option<String>)> {
     let baud_rate = sensor.watch_state().get().baud_rate()?;
-    if !sensor.stats().baud_rate_outrun {
+    if !sensor.stats().baud_rate_disproved {
         let _ = sensor.scan(Window::DETECTION).await;
     }
-    Some((baud_rate, sensor.stats().baud_rate_outrun.then(|| ignored_baud_rate(baud_rate))))
+    Some((baud_rate, sensor.stats().baud_rate_disproved.then(|| ignored_baud_rate(baud_rate))))
 }
 
 /// Waits until the sensor is open. After a second, a notice names what it is waiting for.

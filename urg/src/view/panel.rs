@@ -97,7 +97,7 @@ impl Panel<'_> {
     fn link(&self, model: &Model) -> Vec<Line<'static>> {
         let (link, style) = link(model, self.layer, self.palette);
         let speed = match &self.layer.state {
-            State::Connected { .. } if self.layer.stats.baud_rate_outrun => {
+            State::Connected { .. } if self.layer.stats.baud_rate_disproved => {
                 "no baud rate".to_owned()
             }
             State::Connected { baud_rate: Some(speed), .. } => format!("{speed} baud"),

@@ -1,7 +1,9 @@
 //! Asks a sensor that has answered in SCIP 2 for its model, for the error message. Some sensors
 //! of SCIP 1.1 lock up on such a command, so no other sensor gets it.
 
-use super::Session;
+use super::super::super::transport::Expected;
+use super::{LIMITS, Session};
+use crate::ErrorKind;
 use crate::codec::FoundFrame;
 use crate::protocol::{Command, Text};
 
@@ -9,11 +11,20 @@ use crate::protocol::{Command, Text};
 const EXCERPT: usize = 64;
 
 impl Session {
-    /// Returns `None` if the sensor does not answer in time.
-    pub(crate) async fn scip2_model(&mut self) -> Option<Text> {
-        // `VV` of SCIP 2 is `V` twice.
-        let latency = self.transport.latency(&Command::Version);
-        self.transport.send_after(b"V", &Command::Version, latency).await.ok()?;
+    /// Adds the model to the error of a sensor that speaks SCIP 2, if it tells its model in time.
+    pub(super) async fn name_model(&mut self, error: ErrorKind) -> ErrorKind {
+        match error {
+            ErrorKind::WrongProtocol { status, .. } => {
+                ErrorKind::WrongProtocol { status, model: self.scip2_model().await }
+            }
+            error => error,
+        }
+    }
+
+    async fn scip2_model(&mut self) -> Option<Text> {
+        let within = self.time_limit(&Command::Version, self.latency(&Command::Version));
+        let expected = Expected { reply: None, limits: &LIMITS };
+        self.transport.send(b"VV", &expected, within).await.ok()?;
         loop {
             let received = self.transport.next_frame().await.ok()?;
             if let FoundFrame::Reply(frame) = received.frame()

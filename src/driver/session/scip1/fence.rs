@@ -6,13 +6,14 @@
 
 use std::time::Duration;
 
-use super::super::failure::{ExchangeError, LinkError};
-use super::super::transport::Transport;
-use super::Session;
+use super::super::super::failure::{ExchangeError, LinkError};
+use super::super::super::transport::Transport;
+use super::errors::{malformed, no_reply};
+use super::{ANY_SCAN, Session, expected};
+use crate::ErrorKind;
 use crate::RawReply;
 use crate::codec::FoundFrame;
 use crate::protocol::{Command, MalformedError, Reply, ReplyError, Status};
-use crate::{ErrorKind, Window};
 
 /// Number of unanswered fences after which a link counts as silent. Fewer if the sensor
 /// may have restarted at another baud rate.
@@ -26,16 +27,15 @@ impl Session {
     /// # Errors
     ///
     /// [`LinkError::Silent`] if the sensor answers no fence.
-    pub(crate) async fn fence(&mut self) -> Result<Status, ExchangeError> {
+    pub(super) async fn fence(&mut self) -> Result<Status, ExchangeError> {
         let mut failure = LinkError::Silent(ErrorKind::disconnected(None));
-        let searchable = self.transport.is_adjustable() && self.transport.baud_rate().is_some();
-        let latency = self.transport.latency(&Command::Distances(Window::FULL));
-        for _ in 0..if searchable { FENCES_AT_A_BAUD_RATE } else { FENCES } {
+        let latency = self.latency(&ANY_SCAN);
+        for _ in 0..if self.is_searchable() { FENCES_AT_A_BAUD_RATE } else { FENCES } {
             match self.fence_once(latency).await {
                 Err(ExchangeError::Command(error)) => failure = LinkError::Silent(error),
                 outcome => return outcome,
             }
-            if self.telemetry.is_closing() {
+            if self.is_closing() {
                 break;
             }
         }
@@ -44,16 +44,16 @@ impl Session {
 
     /// Sends one fence. Waits for its answer for `latency`, in addition to its time on
     /// the wire.
-    pub(crate) async fn fence_once(&mut self, latency: Duration) -> Result<Status, ExchangeError> {
+    pub(super) async fn fence_once(&mut self, latency: Duration) -> Result<Status, ExchangeError> {
         let command = Command::Distances(self.unique_requests.fence());
         self.is_settled = false;
         self.telemetry.stats().fences += 1;
-        let mut malformed = None;
-        let answer = self.answer_to_fence(&command, latency, &mut malformed).await;
+        let mut latest_malformed = None;
+        let answer = self.answer_to_fence(&command, latency, &mut latest_malformed).await;
         let answer = match answer {
             Err(timeout @ ExchangeError::Command(ErrorKind::Timeout { .. })) => {
                 let explained = explain_silence(&self.transport, &command);
-                Err(explained.or(malformed).unwrap_or(timeout))
+                Err(explained.or(latest_malformed).unwrap_or(timeout))
             }
             answer => answer,
         };
@@ -79,24 +79,28 @@ impl Session {
     }
 
     /// Sends a fence and waits for its answer, skipping the frames before it. Stores the
-    /// error of the latest malformed frame in `malformed`.
+    /// error of the latest malformed frame in
+    /// `latest_malformed`.
     async fn answer_to_fence(
         &mut self,
         command: &Command,
         latency: Duration,
-        malformed: &mut Option<ExchangeError>,
+        latest_malformed: &mut Option<ExchangeError>,
     ) -> Result<Status, ExchangeError> {
-        self.transport.send(command, latency).await?;
+        let bytes = command.bytes();
+        let within = self.time_limit(command, latency);
+        let late = |failure| no_reply(command, failure);
+        self.transport.send(&bytes, &expected(command, &bytes), within).await.map_err(late)?;
         let sent = self.transport.sent().to_vec();
         loop {
-            let received = self.transport.next_frame().await?;
+            let received = self.transport.next_frame().await.map_err(late)?;
             let frame = received.frame();
             if let FoundFrame::Reply(bytes) = frame {
                 self.observers.pass(|| RawReply {
                     command: None,
                     bytes,
-                    received_at: received.timing.received,
-                    stamp: received.timing.stamp,
+                    received_at: received.times.received,
+                    stamp: received.times.stamp,
                 });
             }
             let error = match judge(command, frame) {
@@ -104,8 +108,9 @@ impl Session {
                     return Err(LinkError::Lost(ErrorKind::Loopback).into());
                 }
                 Ok(status) => {
+                    let times = received.times;
                     drop(received);
-                    self.check_speed(command, status);
+                    self.check_speed(command, status, &times);
                     return Ok(status);
                 }
                 Err(ReplyError::Scip2 { status }) => {
@@ -119,8 +124,7 @@ impl Session {
             stats.bytes_skipped += received.wire_len();
             drop(stats);
             if let ReplyError::Malformed(source) = error {
-                let error = ErrorKind::Malformed { command: *command, source };
-                *malformed = Some(ExchangeError::Command(error));
+                *latest_malformed = Some(ExchangeError::Command(malformed(command, source)));
             }
         }
     }
@@ -151,8 +155,6 @@ fn explain_silence(transport: &Transport, command: &Command) -> Option<ExchangeE
     let telnet = !transport.is_adjustable() && transport.began_as_telnet();
     let echo = [&command.bytes(), &b"\r\n"[..]].concat();
     let translated = pending.windows(echo.len()).any(|part| part == echo);
-    (telnet || translated).then(|| {
-        let (command, source) = (*command, MalformedError::NotRaw);
-        ExchangeError::Command(ErrorKind::Malformed { command, source })
-    })
+    (telnet || translated)
+        .then(|| ExchangeError::Command(malformed(command, MalformedError::NotRaw)))
 }

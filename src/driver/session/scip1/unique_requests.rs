@@ -8,17 +8,17 @@ const STEPS: u16 = 769;
 
 /// Window to request in place of another one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Widened {
-    pub(crate) asked: Window,
+pub(super) struct Widened {
+    pub(super) asked: Window,
     /// Index of the window's first value. The values before it are extra.
-    pub(crate) first: usize,
+    pub(super) first: usize,
     /// True if the latest `G` asked for the same: the window has no room to differ.
-    pub(crate) repeats: bool,
+    pub(super) repeats: bool,
 }
 
 /// Recently requested windows.
 #[derive(Debug, Default)]
-pub(crate) struct UniqueRequests {
+pub(super) struct UniqueRequests {
     /// Windows of the last `G`s, polls and fences, newest first.
     recent: [Option<Window>; Window::MAX_EXTRA_POINTS as usize],
     /// Steps requested alone since the last answered fence. The next fence must use
@@ -31,7 +31,7 @@ pub(crate) struct UniqueRequests {
 impl UniqueRequests {
     /// Starts at a random step, so that a reply to an earlier process's fence hardly ever
     /// matches ours.
-    pub(crate) fn starting(seed: u64) -> Self {
+    pub(super) fn starting(seed: u64) -> Self {
         Self { fence: (seed % u64::from(STEPS)) as u16, ..Self::default() }
     }
 
@@ -40,7 +40,7 @@ impl UniqueRequests {
     ///
     /// The choice differs from the latest `G`s as far as the window leaves room. Then
     /// even a reply that a faulty line delivers twice cannot match the next poll.
-    pub(crate) fn widen(&mut self, window: Window) -> Widened {
+    pub(super) fn widen(&mut self, window: Window) -> Widened {
         let (asked, first) = self.choose(window);
         let repeats = self.is_latest(asked);
         self.record(asked);
@@ -48,7 +48,7 @@ impl UniqueRequests {
     }
 
     /// Returns true if the next request for `window` must have the echo of the latest `G`.
-    pub(crate) fn repeats(&self, window: Window) -> bool {
+    pub(super) fn repeats(&self, window: Window) -> bool {
         self.is_latest(self.choose(window).0)
     }
 
@@ -77,7 +77,7 @@ impl UniqueRequests {
 
     /// Chooses the single step to request as a fence. No other `G` asked for it alone, so
     /// no older reply can match it.
-    pub(crate) fn fence(&mut self) -> Window {
+    pub(super) fn fence(&mut self) -> Window {
         for _ in 0..STEPS {
             if !self.was_asked_alone(self.fence) {
                 break;
@@ -91,7 +91,7 @@ impl UniqueRequests {
     }
 
     /// Forgets the single steps: a fence was answered, so no older reply is on its way.
-    pub(crate) fn clear(&mut self) {
+    pub(super) fn clear(&mut self) {
         self.single = Default::default();
     }
 
