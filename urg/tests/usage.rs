@@ -94,7 +94,8 @@ fn a_missing_port_is_asked_for() {
 #[test]
 fn each_failure_is_one_line_that_names_the_port() {
     let missing = Scratch::new("missing");
-    let directory = std::env::temp_dir();
+    let directory = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("no-recordings");
+    std::fs::create_dir_all(&directory).unwrap();
     for command in ["info", "scan", "stream"] {
         let line = failure(&format!("{command} {}", missing.path()));
         assert!(line.contains("no port") && line.contains(missing.path()), "{line}");
