@@ -125,10 +125,9 @@ impl Scan {
         self.meta.scan_time
     }
 
-    /// Postpones the first ray until `earliest`, unless the reply had begun by then. The stamps then
-    /// rest on no motor.
+    /// Postpones the first ray until `earliest`. The stamps then rest on no motor.
     pub(crate) fn begin_after(&mut self, earliest: Instant) {
-        if self.first_ray_at() < earliest && earliest <= self.meta.first_byte_at {
+        if self.first_ray_at() < earliest {
             self.meta.lateness = None;
             self.meta.postponed = earliest.saturating_duration_since(self.first_ray_at());
         }
