@@ -41,6 +41,8 @@ async fn scans(emulator: EmulatorBuilder, streams: &[(Window, Rate)]) -> Vec<Sca
         }
     }
     all.sort_by_key(Scan::requested_at);
+    // Equal streams share their polls.
+    all.dedup_by_key(|scan| scan.requested_at());
     all
 }
 
