@@ -35,7 +35,7 @@ impl Emulator {
     /// Opens a link in memory. Hangs up a link that is already open: there is one cable.
     ///
     /// To a sensor on RS-232, the link is at 19,200 baud until you call
-    /// [`set_baud_rate`](tokio_scip::port::Port::set_baud_rate). While the sensor is unplugged, the
+    /// [`Link::set_baud_rate`]. While the sensor is unplugged, the
     /// link is hung up from the start.
     pub fn link(&self) -> Link {
         self.open(match self.baud_rate() {

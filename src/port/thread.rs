@@ -4,8 +4,10 @@
 //! starts no more of them.
 
 use std::io;
+#[cfg(feature = "serial")]
 use std::sync::mpsc;
 use std::thread::Builder;
+#[cfg(feature = "serial")]
 use std::time::Duration;
 
 use tokio::runtime::Handle;
@@ -14,6 +16,7 @@ use tokio::sync::oneshot;
 /// Time that [`drop_on`] waits. A port closes in less than a millisecond, unless its device hangs.
 /// Linux keeps a program that exits before its thread closes such a port for half a minute;
 /// afterwards the exit interrupts the thread.
+#[cfg(feature = "serial")]
 const GRACE: Duration = Duration::from_millis(20);
 
 /// Runs `call` in the context of this runtime. The receiver gets its result; without a receiver
@@ -39,6 +42,7 @@ pub(super) fn run_on<T: Send + 'static>(
 }
 
 /// Drops `value`, and returns when it is dropped or after [`GRACE`].
+#[cfg(feature = "serial")]
 pub(super) fn drop_on<T: Send + 'static>(value: T) {
     let (sender, dropped) = mpsc::channel::<()>();
     // Without a thread the value is dropped here, with the closure.
@@ -56,7 +60,7 @@ fn thread() -> Builder {
     Builder::new().name("tokio-scip".to_owned())
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "serial"))]
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;

@@ -19,6 +19,13 @@ pub(super) struct Greeting(Vec<u8>);
 impl Greeting {
     /// Adds received bytes while there is room.
     pub(super) fn add(&mut self, fresh: &[u8]) {
+        if self.0.len() <= CAPACITY {
+            self.append(fresh);
+        }
+    }
+
+    #[cold]
+    fn append(&mut self, fresh: &[u8]) {
         let room = (CAPACITY + 1).saturating_sub(self.0.len());
         self.0.extend(fresh.iter().take(room));
     }
