@@ -9,8 +9,8 @@ use tokio::time::Instant;
 
 use crate::scan::Scan;
 
-/// Part of the nominal revolution that a revolution takes at least.
-const SHORTEST_REVOLUTION: f64 = 0.9;
+/// Tenths of the nominal revolution that a revolution takes at least.
+const SHORTEST_REVOLUTION: u32 = 9;
 
 /// Latest ray of a link. Its scans are in the order of their polls.
 #[derive(Debug, Default)]
@@ -25,18 +25,19 @@ impl RayOrder {
     /// Makes the stamps of a scan later if it would begin before the latest ray. A sensor that answers
     /// faster than its motor turns shows a revolution twice: then scans overlap.
     pub(crate) fn arrange(&mut self, scan: &mut Scan) {
-        let revolution = scan.scan_time();
+        let (revolution, mut first_ray) = (scan.scan_time(), scan.first_ray_at());
         if let Some((requested, earliest)) = self.latest {
             let since = scan.requested_at().saturating_duration_since(requested);
-            let ahead = self.ahead + revolution.mul_f64(SHORTEST_REVOLUTION);
+            let ahead = self.ahead + revolution / 10 * SHORTEST_REVOLUTION;
             self.ahead = ahead.saturating_sub(since).min(3 * revolution);
-            if self.ahead <= 2 * revolution {
-                scan.begin_after(earliest);
+            if self.ahead <= 2 * revolution && first_ray < earliest {
+                first_ray = scan.postpone(earliest);
             }
         }
         // An increment after the last ray.
-        let swept = scan.time_increment().saturating_mul(scan.len() as u32);
-        let end = scan.first_ray_at() + swept;
-        self.latest = Some((scan.requested_at(), end));
+        let window = scan.window();
+        let swept = window.points() as u32 * u32::from(window.cluster_count());
+        let swept = revolution * swept / u32::from(scan.geometry().steps_per_revolution());
+        self.latest = Some((scan.requested_at(), first_ray + swept));
     }
 }

@@ -125,12 +125,13 @@ impl Scan {
         self.meta.scan_time
     }
 
-    /// Postpones the first ray until `earliest`. The stamps then rest on no motor.
-    pub(crate) fn begin_after(&mut self, earliest: Instant) {
-        if self.first_ray_at() < earliest {
-            self.meta.lateness = None;
-            self.meta.postponed = earliest.saturating_duration_since(self.first_ray_at());
-        }
+    /// Postpones the first ray until `earliest` or later, and returns its time. The stamps then rest
+    /// on no motor.
+    #[cold]
+    pub(crate) fn postpone(&mut self, earliest: Instant) -> Instant {
+        self.meta.lateness = None;
+        self.meta.postponed = earliest.saturating_duration_since(self.first_ray_at());
+        self.first_ray_at()
     }
 
     /// Exact time from one point to the next in seconds.
