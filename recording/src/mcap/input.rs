@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::{Range, RangeInclusive};
 
-use super::form::{is_well_formed, split_record};
+use super::form::{After, is_well_formed, measure, record_head};
 use super::{FILE_END, FOOTER_BYTES, Fields, MAX_INDEX_BYTES, RECORD_HEAD, kind};
 
 /// Bytes of a recording, in order.
@@ -70,8 +70,13 @@ impl FileIndex {
             let (place, first, last) = chunk(content)?;
             (last < *times.start() || first > *times.end()).then_some(place)
         };
-        let chunks = self.records().filter(|(kind, _)| *kind == kind::CHUNK_INDEX);
-        let mut chunks: Vec<_> = chunks.filter_map(|(_, content)| outside(content)).collect();
+        let (mut at, mut chunks) = (0, Vec::new());
+        while let Some((kind, content)) = self.record(at) {
+            at = content.end;
+            if kind == kind::CHUNK_INDEX {
+                chunks.extend(outside(self.bytes(content)));
+            }
+        }
         chunks.sort_unstable_by_key(|place| place.start);
         let mut parts: Vec<Range<u64>> = Vec::new();
         for chunk in chunks {
@@ -89,13 +94,15 @@ impl FileIndex {
     /// place of its content.
     pub(super) fn next_definition(&mut self) -> Option<(u8, Range<usize>)> {
         loop {
-            let (kind, content, rest) = split_record(self.records.get(self.at..)?)?;
-            let is_wanted =
-                matches!(kind, kind::SCHEMA | kind::CHANNEL) && is_well_formed(kind, content);
-            let (length, end) = (content.len(), self.records.len() - rest.len());
-            self.at = end;
-            if is_wanted {
-                return Some((kind, end - length..end));
+            let (kind, content) = self.record(self.at)?;
+            let start = std::mem::replace(&mut self.at, content.end);
+            let record = self.bytes(start..content.end);
+            let Ok(extent) = measure(record, After::EndOfChunk) else { continue };
+            let fields = content.start..start + extent.fields as usize;
+            if matches!(kind, kind::SCHEMA | kind::CHANNEL)
+                && is_well_formed(kind, self.bytes(fields.clone()))
+            {
+                return Some((kind, fields));
             }
         }
     }
@@ -104,13 +111,12 @@ impl FileIndex {
         self.records.get(place).unwrap_or_default()
     }
 
-    fn records(&self) -> impl Iterator<Item = (u8, &[u8])> {
-        let mut rest = self.records.as_slice();
-        std::iter::from_fn(move || {
-            let (kind, content, after) = split_record(rest)?;
-            rest = after;
-            Some((kind, content))
-        })
+    /// Returns the kind of the record at this position, and the place of its content.
+    fn record(&self, at: usize) -> Option<(u8, Range<usize>)> {
+        let (kind, length) = record_head(self.records.get(at..)?)?;
+        let start = at + RECORD_HEAD;
+        let end = start.checked_add(usize::try_from(length).ok()?)?;
+        (end <= self.records.len()).then_some((kind, start..end))
     }
 }
 

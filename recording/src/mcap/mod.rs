@@ -1,27 +1,25 @@
 //! MCAP, the container format of recordings (<https://mcap.dev/spec>): written, read and
 //! repaired. Knows nothing of scans and ROS.
 //!
-//! Written by hand, for files that are hostile, damaged or weeks long. The crate `mcap`
-//! (0.26.0) reserves 4 GiB for 21 bytes that claim a long string. Its sans-IO reader
-//! panics at a claim of 2^63 bytes unless you set a limit. Here a length is checked
-//! against the existing bytes. The crate does not search for the next chunk after a
-//! damaged length. Its writer keeps an entry for every chunk; here an index has at most
-//! 16 MiB. The tests read with that crate what is written here.
+//! Written by hand, for files that are hostile, damaged or weeks long; `rationale` compares it with
+//! the crate `mcap`, with which the tests read what is written here.
 
 mod definitions;
+mod error;
 mod form;
 mod index;
 mod input;
 mod read;
 mod records;
+mod window;
 mod write;
 
 use std::time::Duration;
 
 pub(super) use self::definitions::{Channel, DefinitionWriter, Definitions};
+pub(super) use self::error::FileError;
 pub(super) use self::form::parse_metadata;
 pub(super) use self::input::Input;
-pub(super) use self::read::FileError;
 pub(super) use self::records::Records;
 pub(super) use self::write::{McapWriter, channel, header, schema};
 

@@ -3,10 +3,11 @@
 use std::collections::HashSet;
 use std::ops::{Range, RangeInclusive};
 
-use super::form::{is_well_formed, split_record};
+use super::error::FileError;
+use super::form::{After, Unmeasured, begins, is_known, is_well_formed, measure, next_start};
 use super::input::FileIndex;
-use super::read::{FileError, Section, Sections};
-use super::{Fields, Input, kind};
+use super::read::{Section, Sections};
+use super::{Fields, Input, RECORD_HEAD, kind};
 
 /// Reads the well-formed records of a file, including those in chunks.
 #[derive(Default)]
@@ -15,6 +16,8 @@ pub(in super::super) struct Records {
     /// Records of the current chunk that were not returned yet.
     rest: Range<usize>,
     is_cut: bool,
+    /// True if a checksum proves the chunk.
+    is_proved: bool,
     /// Channels defined so far.
     channels: HashSet<u16>,
     /// Index of the file, once its definitions are needed.
@@ -91,24 +94,41 @@ impl Records {
                     Some(Section::Record { kind, content }) => {
                         return self.check(kind, &content).map(|()| Some((kind, content)));
                     }
-                    Some(Section::Chunk { records, is_cut }) => {
-                        (self.rest, self.is_cut) = (records, is_cut);
+                    Some(Section::Chunk { records, is_cut, is_proved }) => {
+                        (self.rest, self.is_cut, self.is_proved) = (records, is_cut, is_proved);
                     }
                 }
                 continue;
             }
             let rest = std::mem::take(&mut self.rest);
-            match split_record(self.sections.bytes(rest.clone())) {
-                Some((kind, content, after)) => {
-                    let end = rest.end - after.len();
-                    let content = end - content.len()..end;
-                    self.rest = end..rest.end;
-                    return self.check(kind, &content).map(|()| Some((kind, content)));
+            let bytes = self.sections.bytes(rest.clone());
+            let known = bytes.len() as u64;
+            let after = if self.is_cut { After::EndOfFile } else { After::EndOfChunk };
+            let extent = measure(bytes, after);
+            let begins = |at, kinds| begins(bytes, after, at, kinds);
+            let next = match &extent {
+                Ok(extent) if self.is_proved => extent.end,
+                Ok(extent) => {
+                    let kinds = |at| if at == extent.end { |_| true } else { is_known };
+                    next_start(extent, known, |at| begins(at, kinds(at))).unwrap_or(known)
                 }
-                None if self.is_cut => {}
-                None => {
-                    return Err(self.sections.damaged("a chunk ends in the middle of a record"));
+                Err(Unmeasured::Needs(_)) if self.is_cut => continue,
+                Err(_) => {
+                    let is_here = |at: &u64| begins(*at, is_known).unwrap_or_default();
+                    (1..known).find(is_here).unwrap_or(known)
                 }
+            };
+            let start = usize::try_from(next).unwrap_or(usize::MAX).saturating_add(rest.start);
+            self.rest = start.min(rest.end)..rest.end;
+            match extent {
+                Ok(extent) if next == extent.end && next <= known => {
+                    let content = rest.start + RECORD_HEAD..rest.start + extent.fields as usize;
+                    return self
+                        .check(extent.kind, &content)
+                        .map(|()| Some((extent.kind, content)));
+                }
+                Ok(extent) if next == extent.end && self.is_cut => {}
+                _ => return Err(self.sections.damaged("a record in a chunk has a wrong length")),
             }
         }
     }

@@ -8,6 +8,9 @@ use mcap::records::Record;
 use super::foreign::letters;
 use crate::raw::MAGIC;
 
+/// Length of the head of a chunk without compression.
+pub(super) const CHUNK_HEAD: usize = 9 + 40;
+
 /// Message, with all that names its topic and type.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) struct Message {
@@ -94,13 +97,20 @@ pub(super) fn topics(file: &[u8]) -> BTreeSet<String> {
     topics.chain(summary.schemas.values().map(|known| schema(known))).collect()
 }
 
+fn told(error: mcap::McapError) -> String {
+    format!("the other reader: {error}")
+}
+
+/// Reads all messages of a file with a complete end, in their order.
+pub(super) fn messages(file: &[u8]) -> Result<Vec<Message>, String> {
+    let messages = mcap::MessageStream::new(file).map_err(told)?;
+    messages.map(|message| message.map(Message::new).map_err(told)).collect()
+}
+
 /// Reads all messages of a complete file, in their order. Fails unless the index leads to the
 /// same ones, and the times and counts of the index are right.
 pub(super) fn read(file: &[u8]) -> Result<Vec<Message>, String> {
-    let told = |error: mcap::McapError| format!("the other reader: {error}");
-    let messages = mcap::MessageStream::new(file).map_err(told)?;
-    let messages = messages.map(|message| message.map(Message::new).map_err(told));
-    let messages: Vec<Message> = messages.collect::<Result<_, _>>()?;
+    let messages = messages(file)?;
     let summary = mcap::Summary::read(file).map_err(told)?.ok_or("no summary")?;
     let mut indexed = Vec::new();
     let chunks = summary.chunk_indexes.iter();
@@ -130,80 +140,163 @@ pub(super) fn read(file: &[u8]) -> Result<Vec<Message>, String> {
     Ok(messages)
 }
 
-/// Chunk of a file: its place, its messages, and its definitions of schemas and channels.
-struct Chunk {
-    place: Range<usize>,
-    messages: Vec<(u16, Message)>,
-    /// Kind and number of each.
-    definitions: Vec<(u8, u16)>,
+/// Definition or message of a file.
+struct Part {
+    /// Places in the file: it is lost if one of them is hit.
+    places: Vec<Range<usize>>,
+    content: Content,
 }
 
-/// Layout of a complete file with chunks.
+enum Content {
+    Schema(u16),
+    /// Its number, and that of its schema.
+    Channel(u16, u16),
+    Message(u16, Message),
+}
+
+/// Layout of a file with a complete end.
 pub(super) struct Layout {
-    chunks: Vec<Chunk>,
-    /// Schema of each channel.
-    schemas: BTreeMap<u16, u16>,
-    summary: Range<usize>,
+    parts: Vec<Part>,
+    /// Where records begin and end, in order.
+    pub(super) boundaries: Vec<usize>,
+    /// Places that no checksum covers and whose damage may change a message.
+    unproved: Vec<Range<usize>>,
+    /// Chunks, and where their records end.
+    pub(super) chunks: Vec<(Range<usize>, usize)>,
+    pub(super) summary: Range<usize>,
+    /// True if a checksum of a file without chunks covers all bytes before the summary.
+    pub(super) has_sum: bool,
 }
 
 impl Layout {
     /// `messages` are the file's, in their order.
     pub(super) fn new(file: &[u8], messages: &[Message]) -> Self {
-        let (mut at, mut chunks, mut schemas) = (MAGIC.len(), Vec::new(), BTreeMap::new());
-        let mut messages = messages.iter();
-        let mut summary = file.len();
-        while at < file.len() - MAGIC.len() {
+        let mut layout = Self {
+            parts: Vec::new(),
+            boundaries: vec![MAGIC.len()],
+            unproved: Vec::new(),
+            chunks: Vec::new(),
+            summary: file.len()..file.len(),
+            has_sum: false,
+        };
+        let (mut at, mut messages) = (MAGIC.len(), messages.iter());
+        while at < layout.summary.start {
             let (kind, content) = split(&file[at..]);
             let place = at..at + 9 + content.len();
             at = place.end;
-            if kind == 0x0f {
-                summary = place.start;
-            }
-            let Record::Chunk { data, .. } = mcap::parse_record(kind, content).unwrap() else {
-                continue;
-            };
-            let mut chunk = Chunk { place, messages: Vec::new(), definitions: Vec::new() };
-            let mut rest = &data[..];
-            while !rest.is_empty() {
-                let (kind, content) = split(rest);
-                match mcap::parse_record(kind, content).unwrap() {
-                    Record::Schema { header, .. } => chunk.definitions.push((kind, header.id)),
-                    Record::Channel(channel) => {
-                        chunk.definitions.push((kind, channel.id));
-                        schemas.insert(channel.id, channel.schema_id);
-                    }
-                    Record::Message { header, .. } => {
-                        let message = messages.next().unwrap().clone();
-                        chunk.messages.push((header.channel_id, message));
-                    }
-                    _ => {}
+            layout.boundaries.push(at);
+            match mcap::parse_record(kind, content).unwrap() {
+                Record::DataEnd(end) => {
+                    layout.summary.start = place.start;
+                    layout.has_sum = end.data_section_crc != 0 && layout.chunks.is_empty();
                 }
-                rest = &rest[9 + content.len()..];
+                Record::Chunk { header, data } => {
+                    let records = place.start + CHUNK_HEAD + data.len();
+                    layout.chunks.push((place.clone(), records));
+                    let head = place.start..place.start + CHUNK_HEAD;
+                    let (mut inner, mut rest) = (head.end, &data[..]);
+                    let is_proved = header.uncompressed_crc != 0;
+                    if !is_proved {
+                        layout.unproved.push(place.clone());
+                    }
+                    while !rest.is_empty() {
+                        let (kind, content) = split(rest);
+                        let own = inner..inner + 9 + content.len();
+                        inner = own.end;
+                        layout.boundaries.push(inner);
+                        rest = &rest[9 + content.len()..];
+                        let places =
+                            if is_proved { vec![place.clone()] } else { vec![head.clone(), own] };
+                        layout.add(kind, content, places, &mut messages);
+                    }
+                }
+                _ => {
+                    // A message index with more fields looks like a message if its kind is damaged.
+                    let is_grown_index =
+                        || kind == 0x07 && content.len() != 6 + usize::from(content[2]);
+                    if matches!(kind, 0x03..=0x05 | 0x10..) || is_grown_index() {
+                        layout.unproved.push(place.clone());
+                    }
+                    layout.add(kind, content, vec![place], &mut messages);
+                }
             }
-            chunks.push(chunk);
         }
-        Self { chunks, schemas, summary: summary..file.len() }
+        layout.boundaries.sort_unstable();
+        layout
     }
 
-    /// Messages that must survive: in chunks without a changed byte, and with a definition in
-    /// such a chunk before them, or in the index if `has_index`.
+    fn add<'a>(
+        &mut self,
+        kind: u8,
+        content: &[u8],
+        places: Vec<Range<usize>>,
+        messages: &mut impl Iterator<Item = &'a Message>,
+    ) {
+        let content = match mcap::parse_record(kind, content).unwrap() {
+            Record::Schema { header, .. } => Content::Schema(header.id),
+            Record::Channel(channel) => Content::Channel(channel.id, channel.schema_id),
+            Record::Message { header, .. } => {
+                Content::Message(header.channel_id, messages.next().unwrap().clone())
+            }
+            _ => return,
+        };
+        self.parts.push(Part { places, content });
+    }
+
+    /// Returns true if damage there may change messages, and nobody can tell.
+    pub(super) fn is_unproved(&self, is_hit: impl Fn(&Range<usize>) -> bool) -> bool {
+        self.unproved.iter().any(is_hit)
+    }
+
+    /// Returns true for one or two records between two damaged ones, where no checksum proves them:
+    /// only other records after one show that it begins there.
+    fn is_between(&self, part: &Part, is_hit: impl Fn(&Range<usize>) -> bool) -> bool {
+        let Some(own) = part.places.last().filter(|own| {
+            self.unproved.iter().any(|place| place.start <= own.start && own.end <= place.end)
+        }) else {
+            return false;
+        };
+        let edge = |start: usize, by: isize| {
+            let at = self.boundaries.partition_point(|edge| *edge < start) as isize + by;
+            self.boundaries[at.clamp(0, self.boundaries.len() as isize - 1) as usize]
+        };
+        // With the bytes that are inserted between records.
+        let before = |count: isize| is_hit(&(edge(own.start, -count) - 1..own.start + 1));
+        let after = |count: isize| is_hit(&(own.end - 1..edge(own.end, count) + 1));
+        before(1) && after(2) || before(2) && after(1)
+    }
+
+    /// Messages that must survive: not hit, and with a definition that is not hit before them, or
+    /// in the index if `has_index`.
     pub(super) fn survivors(
         &self,
         is_hit: impl Fn(&Range<usize>) -> bool,
         has_index: bool,
     ) -> Vec<Message> {
-        let has_index = has_index && !is_hit(&self.summary);
-        let mut known: Vec<(u8, u16)> = Vec::new();
+        // Without a checksum, a damaged definition may look like another one.
+        let is_loose = self.is_unproved(&is_hit);
+        let has_index = has_index && !is_hit(&self.summary) && !is_loose;
+        let (mut schemas, mut channels) = (Vec::new(), BTreeMap::new());
         let mut survivors = Vec::new();
-        for chunk in self.chunks.iter().filter(|chunk| !is_hit(&chunk.place)) {
-            known.extend(&chunk.definitions);
-            let is_known = |channel: &u16| {
-                let schema = self.schemas[channel];
-                let has_schema = schema == 0 || known.contains(&(0x03, schema));
-                has_index || known.contains(&(0x04, *channel)) && has_schema
-            };
-            let messages = chunk.messages.iter().filter(|(channel, _)| is_known(channel));
-            survivors.extend(messages.map(|(_, message)| message.clone()));
+        for part in &self.parts {
+            let is_lost = part.places.iter().any(&is_hit) || self.is_between(part, &is_hit);
+            match &part.content {
+                Content::Schema(schema) if !is_lost => schemas.push(*schema),
+                Content::Channel(channel, schema) if !is_lost => {
+                    channels.insert(*channel, *schema);
+                }
+                // What it became may define the number again.
+                Content::Schema(schema) if is_loose => schemas.retain(|known| known != schema),
+                Content::Channel(channel, _) if is_loose => drop(channels.remove(channel)),
+                Content::Message(channel, message) if !is_lost => {
+                    let schema = channels.get(channel);
+                    let is_known = |schema: &u16| *schema == 0 || schemas.contains(schema);
+                    if has_index || schema.is_some_and(is_known) {
+                        survivors.push(message.clone());
+                    }
+                }
+                _ => {}
+            }
         }
         survivors
     }
@@ -221,7 +314,7 @@ pub(super) fn chunks_end(file: &[u8]) -> usize {
 }
 
 /// Splits off a record: its kind and content.
-fn split(bytes: &[u8]) -> (u8, &[u8]) {
+pub(super) fn split(bytes: &[u8]) -> (u8, &[u8]) {
     let length = u64::from_le_bytes(bytes[1..9].try_into().unwrap()) as usize;
     (bytes[0], &bytes[9..9 + length])
 }

@@ -3,10 +3,12 @@
 use std::collections::BTreeMap;
 use std::io::Cursor;
 
-use mcap::WriteOptions;
 use mcap::records::{MessageHeader, Metadata};
+use mcap::{Attachment, WriteOptions};
 
+use super::file::{CHUNK_HEAD, split};
 use crate::common::random::Random;
+use crate::raw::{MAGIC, of_kind};
 
 /// Start of every bag, give or take minutes.
 const BEGAN: u64 = 1_700_000_000_000_000_000;
@@ -30,25 +32,24 @@ const TRANSFORMS: &str = "tf2_msgs/msg/TFMessage";
 const DURABILITIES: [&[&str]; 6] =
     [&[], &["2"], &["volatile"], &["1"], &["volatile", "transient_local"], &["transient_local"]];
 
-pub(super) struct Bag {
-    pub(super) bytes: Vec<u8>,
-    pub(super) has_chunks: bool,
-    pub(super) has_checksums: bool,
-}
-
-pub(super) fn bag(random: &mut Random) -> Bag {
-    let has_chunks = !random.once_in(8);
-    let has_checksums = !random.once_in(8);
+pub(super) fn bag(random: &mut Random) -> Vec<u8> {
     let options = WriteOptions::new()
         .compression(None)
         .profile(*random.pick(&["ros2", ""]))
-        .use_chunks(has_chunks)
+        .use_chunks(!random.once_in(3))
         .chunk_size(Some(100 + random.below(2_000)))
-        .calculate_chunk_crcs(has_checksums);
+        .calculate_chunk_crcs(!random.once_in(4))
+        .calculate_data_section_crc(random.once_in(2));
     let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
     if random.once_in(2) {
         let metadata = BTreeMap::from([("key".to_owned(), random.below(3).to_string())]);
         writer.write_metadata(&Metadata { name: "rosbag2".to_owned(), metadata }).unwrap();
+    }
+    if random.once_in(4) {
+        let (name, media_type) = ("map.yaml".to_owned(), "text/yaml".to_owned());
+        let data = vec![7; random.below(99) as usize].into();
+        let attachment = Attachment { log_time: 1, create_time: 1, name, media_type, data };
+        writer.attach(&attachment).unwrap();
     }
     let mut channels = Vec::new();
     for number in 0..1 + random.below(4) {
@@ -92,7 +93,57 @@ pub(super) fn bag(random: &mut Random) -> Bag {
         writer.write_to_known_channel(&header, &data).unwrap();
     }
     writer.finish().unwrap();
-    Bag { bytes: writer.into_inner().into_inner(), has_chunks, has_checksums }
+    writer.into_inner().into_inner()
+}
+
+/// Writes a complete file anew as a later version of the format may: with more fields at the ends
+/// of records, and with records of kinds that do not exist yet. Leaves out the index, whose places
+/// would be wrong.
+pub(super) fn grown(random: &mut Random, file: &[u8]) -> Vec<u8> {
+    let (mut out, mut rest) = (MAGIC.to_vec(), &file[MAGIC.len()..]);
+    loop {
+        let (kind, content) = split(rest);
+        rest = &rest[9 + content.len()..];
+        match kind {
+            // Its positions may be wrong.
+            0x07 if random.once_in(2) => continue,
+            0x06 => {
+                let (head, mut records) = content.split_at(CHUNK_HEAD - 9);
+                let mut inner = Vec::new();
+                while !records.is_empty() {
+                    let (kind, content) = split(records);
+                    records = &records[9 + content.len()..];
+                    inner.extend(grown_record(random, kind, content));
+                }
+                let (size, crc) = ((inner.len() as u64).to_le_bytes(), crc32fast::hash(&inner));
+                let crc = if head[24..28] == [0; 4] { 0 } else { crc };
+                let head = [&head[..16], &size, &crc.to_le_bytes(), &[0; 4], &size].concat();
+                out.extend(grown_record(random, kind, &[head, inner].concat()));
+            }
+            0x0f => {
+                let crc = if content == [0; 4] { 0 } else { crc32fast::hash(&out) };
+                out.extend(of_kind(kind, &crc.to_le_bytes()));
+                return [out, of_kind(0x02, &[0; 20]), MAGIC.to_vec()].concat();
+            }
+            _ => out.extend(grown_record(random, kind, content)),
+        }
+    }
+}
+
+/// Writes a record, and perhaps another one after it.
+fn grown_record(random: &mut Random, kind: u8, content: &[u8]) -> Vec<u8> {
+    let mut bytes = |most| -> Vec<u8> {
+        let length = if random.once_in(3) { 1 + random.below(most) } else { 0 };
+        (0..length).map(|_| random.next() as u8).collect()
+    };
+    // The format promises that messages stay as they are.
+    let more = if kind == 0x05 { Vec::new() } else { bytes(12) };
+    let mut out = of_kind(kind, &[content, &more].concat());
+    let other = bytes(60);
+    if let Some((kind, content)) = other.split_first() {
+        out.extend(of_kind((*kind).max(0x10), content));
+    }
+    out
 }
 
 /// Returns the profile of one publisher in YAML.

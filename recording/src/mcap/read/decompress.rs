@@ -8,8 +8,8 @@
 use std::io;
 use std::io::Read;
 
-use super::ChunkHead;
 use crate::mcap::MAX_CHUNK_BYTES;
+use crate::mcap::form::ChunkHead;
 
 /// Largest window of zstd for a smaller chunk: a decoder reserves the window that the input claims.
 /// RFC 8878 recommends to support at least 8 MiB.

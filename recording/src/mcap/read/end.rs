@@ -1,26 +1,27 @@
 //! Checks a file's end: its summary, and the footer that has the position of the summary.
 
-use super::{FileError, Sections};
-use crate::mcap::form::record_head;
+use super::Sections;
+use crate::mcap::error::FileError;
+use crate::mcap::form::{Extent, record_head};
 use crate::mcap::{FILE_END, FOOTER_BYTES, Fields, MAGIC, RECORD_HEAD, kind};
 
 impl Sections {
-    /// Reads the end of the file, starting at the end of its data. Returns true if other
+    /// Reads the end of the file, starting at the record that ends its data. Returns true if other
     /// readers can find the messages with it: the summary is where the footer says, its
     /// checksum is right if it has one, and nothing follows.
-    pub(super) fn is_end_whole(&mut self) -> Result<bool, FileError> {
-        let data_end = self.peek(RECORD_HEAD)?;
-        if data_end.first() == Some(&kind::DATA_END) && !self.skip(RECORD_HEAD as u64 + 4)? {
+    pub(super) fn is_end_whole(&mut self, data_end: &Extent) -> Result<bool, FileError> {
+        let window = &mut self.window;
+        if data_end.kind == kind::DATA_END && !window.skip_with(data_end.end, |_| {})? {
             return Ok(false);
         }
-        let start = self.offset;
+        let start = window.offset;
         let mut summary = crc32fast::Hasher::new();
         loop {
-            let head = self.peek(FILE_END + 1)?;
+            let head = window.peek(FILE_END + 1)?;
             let Some((kind, length)) = record_head(head) else { return Ok(false) };
             if kind != kind::FOOTER {
                 let length = length.saturating_add(RECORD_HEAD as u64);
-                if !self.skip_with(length, |bytes| summary.update(bytes))? {
+                if !window.skip_with(length, |bytes| summary.update(bytes))? {
                     return Ok(false);
                 }
                 continue;
@@ -37,7 +38,7 @@ impl Sections {
                 return Ok(false);
             };
             // A position of 0 means that there is none, and a checksum of 0 that it is not known.
-            let are_inside = (start..=self.offset).contains(&offsets) || offsets == 0;
+            let are_inside = (start..=window.offset).contains(&offsets) || offsets == 0;
             let is_checked = crc == 0 || crc == summary.finalize();
             return Ok(is_whole && is_checked && are_inside && (at == start || at == 0));
         }
@@ -47,9 +48,15 @@ impl Sections {
     /// after `cat a.mcap b.mcap`. Such a file has no complete end: no index covers both.
     pub(super) fn skip_to_joined(&mut self) -> Result<bool, FileError> {
         const JOINED: usize = FILE_END + MAGIC.len();
-        let bytes = self.peek(JOINED)?.get(..JOINED).unwrap_or_default();
+        let bytes = self.window.peek(JOINED)?.get(..JOINED).unwrap_or_default();
         let is_footer = record_head(bytes) == Some((kind::FOOTER, FOOTER_BYTES as u64));
         let magics = bytes.get(RECORD_HEAD + FOOTER_BYTES..).unwrap_or_default();
-        Ok(is_footer && magics == [MAGIC, MAGIC].concat() && self.skip(JOINED as u64)?)
+        if !is_footer || magics != [MAGIC, MAGIC].concat() {
+            return Ok(false);
+        }
+        // The other file's checksum begins with its own magic bytes.
+        self.window.skip_with(FILE_END as u64, |_| {})?;
+        self.window.checksum = Some(crc32fast::Hasher::new());
+        self.window.skip_with(MAGIC.len() as u64, |_| {})
     }
 }

@@ -1,5 +1,5 @@
 //! [`Sections`]: reads a file from its beginning to wherever it ends, one chunk at a time.
-//! Finds the next chunk after a damaged part. Leaves out unwanted parts if the file's index
+//! Finds the next record after a damaged one. Leaves out unwanted parts if the file's index
 //! lists them.
 //!
 //! Believes no length until it agrees with another one or with the existing bytes. So the
@@ -7,71 +7,48 @@
 
 mod decompress;
 mod end;
-mod search;
 
 use std::collections::VecDeque;
-use std::io::{self, Read};
 use std::ops::{Range, RangeInclusive};
 
 use self::decompress::{Failure, decompress};
-use super::form::{fields_length, is_well_formed, record_head};
-use super::input::FileIndex;
-use super::{
-    CHUNK_HEAD, FOOTER_BYTES, Fields, Input, MAGIC, MAX_CHUNK_BYTES, MAX_RECORD_BYTES, RECORD_HEAD,
-    kind,
+use super::error::FileError;
+use super::form::{
+    ChunkHead, Extent, Kinds, chunk_head, is_known, is_message_index, is_well_formed, next_start,
+    outside_chunks,
 };
-
-/// Longest name of a compression.
-const MAX_COMPRESSION_NAME: usize = 16;
-/// Length of a chunk's record up to its records, compressed or not.
-const MAX_CHUNK_HEAD: usize = CHUNK_HEAD + MAX_COMPRESSION_NAME;
-/// Number of bytes to read at once.
-const READ_BYTES: usize = 64 << 10;
-/// Record that ends the data, up to its content.
-const DATA_END_HEAD: [u8; RECORD_HEAD] = [kind::DATA_END, 4, 0, 0, 0, 0, 0, 0, 0];
+use super::input::FileIndex;
+use super::window::Window;
+use super::{Fields, Input, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
 
 /// Reason for damage.
 const WRONG_HEAD: &str = "a record's kind or length is wrong";
-
-/// Error of a file's form, or of reading it.
-#[derive(Debug)]
-pub(in super::super) enum FileError {
-    Io(io::Error),
-    NotMcap,
-    /// Chunks have a compression that this build does not read.
-    Compressed(String),
-    /// A part is malformed. Reading continues after it.
-    Damaged {
-        offset: u64,
-        reason: &'static str,
-    },
-}
 
 /// Part of a file. Ranges index into [`Sections::bytes`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Section {
     /// A record outside of chunks.
     Record { kind: u8, content: Range<usize> },
-    /// Records of a chunk without compression: with a correct checksum, or the beginning of one at
-    /// the end of a cut-off file.
-    Chunk { records: Range<usize>, is_cut: bool },
+    /// Records of a chunk without compression, perhaps the beginning of one at the end of a cut-off
+    /// file. They are proved by a checksum if the chunk is whole and has one.
+    Chunk { records: Range<usize>, is_cut: bool, is_proved: bool },
+}
+
+/// Kinds of records that no summary has.
+fn is_data(kind: u8) -> bool {
+    matches!(kind, kind::MESSAGE | kind::CHUNK | kind::MESSAGE_INDEX)
 }
 
 /// Reads the parts of a file up to its summary.
 #[derive(Default)]
 pub(super) struct Sections {
-    input: Input,
-    /// Room for one read.
-    buffer: Vec<u8>,
-    /// Bytes of the file, used up to `start`.
-    window: Vec<u8>,
-    start: usize,
+    window: Window,
     /// Records of the latest section if it is a compressed chunk, else empty.
     decompressed: Vec<u8>,
-    /// Position of `start` in the file.
-    offset: u64,
     /// Length of the latest section.
     used: usize,
+    /// Set once the file is known to have chunks, or none.
+    has_chunks: Option<bool>,
     /// Parts of the file to leave out.
     unwanted: VecDeque<Range<u64>>,
     is_started: bool,
@@ -79,20 +56,9 @@ pub(super) struct Sections {
     is_truncated: bool,
 }
 
-/// Head of a chunk whose lengths agree with each other.
-struct ChunkHead {
-    /// Length of the records without compression.
-    size: u64,
-    crc: u32,
-    /// Name of the compression, or empty.
-    compression: String,
-    /// From the beginning of the chunk's record.
-    records: Range<usize>,
-}
-
 impl Sections {
     pub(super) fn new(input: Input) -> Self {
-        Self { input, buffer: vec![0; READ_BYTES], ..Self::default() }
+        Self { window: Window::new(input), ..Self::default() }
     }
 
     /// Returns true if the whole file was read and its end is missing.
@@ -102,13 +68,15 @@ impl Sections {
 
     /// Position of the latest section in the file.
     pub(super) fn offset(&self) -> u64 {
-        self.offset
+        self.window.offset
     }
 
     /// Bytes of a range of the latest section.
     pub(super) fn bytes(&self, range: Range<usize>) -> &[u8] {
-        let bytes = if self.decompressed.is_empty() { &self.window } else { &self.decompressed };
-        bytes.get(range).unwrap_or_default()
+        match self.decompressed.is_empty() {
+            true => self.window.bytes(range),
+            false => self.decompressed.get(range).unwrap_or_default(),
+        }
     }
 
     /// Leaves out the chunks after the latest section that have no message at these times, if the
@@ -124,7 +92,7 @@ impl Sections {
 
     /// Reads the index at the end of the file, which is empty if the file has none.
     pub(super) fn index(&mut self) -> Result<FileIndex, FileError> {
-        self.input.index().map_err(|error| {
+        self.window.input.index().map_err(|error| {
             self.is_over = true;
             FileError::Io(error)
         })
@@ -145,185 +113,173 @@ impl Sections {
     fn section(&mut self) -> Result<Option<Section>, FileError> {
         if !self.is_started {
             self.is_started = true;
-            let magic = self.peek(MAGIC.len())?;
+            let magic = self.window.peek(MAGIC.len())?;
             let magic = magic.get(..MAGIC.len()).unwrap_or(magic);
             if !MAGIC.starts_with(magic) {
-                return self.find_first_chunk();
+                return self.find_first_record();
             }
             self.used = magic.len();
         }
         loop {
-            self.drop_used();
+            self.window.advance(std::mem::take(&mut self.used));
             self.leave_out()?;
-            let head = self.peek(MAX_CHUNK_HEAD)?;
-            let Some((kind, length)) = record_head(head) else {
+            if self.window.peek(1)?.is_empty() {
                 return Ok(self.end_early());
-            };
-            if let Some(chunk) = chunk_head(head) {
-                return self.chunk(kind, chunk);
             }
-            let content = head.get(RECORD_HEAD..).unwrap_or_default();
-            let is_plausible = match kind {
-                kind::DATA_END | kind::FOOTER => {
-                    if length == if kind == kind::FOOTER { FOOTER_BYTES as u64 } else { 4 } {
-                        self.is_truncated |= !self.is_end_whole()?;
-                        match self.skip_to_joined()? {
-                            true => continue,
-                            false => return Ok(None),
-                        }
-                    }
-                    false
-                }
-                // The lengths in a cut-off or damaged head do not agree.
-                kind::CHUNK if head.len() < chunk_head_length(head) => return Ok(self.end_early()),
-                kind::CHUNK => false,
-                kind::MESSAGE_INDEX => {
-                    let mut fields = Fields(content);
-                    let entries = fields.u16().and_then(|_| fields.u32());
-                    entries.is_none_or(|bytes| u64::from(bytes) + 6 == length && bytes % 16 == 0)
-                }
-                kind::MESSAGE => length <= MAX_CHUNK_BYTES,
-                kind::HEADER | kind::SCHEMA | kind::CHANNEL | kind::METADATA => {
-                    length <= MAX_RECORD_BYTES
-                }
-                // Those from 0x80 on are private to other programs.
-                kind::ATTACHMENT | 0x80.. => match self.is_whole(kind, length)? {
-                    Some(is_whole) => is_whole,
-                    None => {
-                        let error = self.damaged(WRONG_HEAD);
-                        return if self.find_chunk()? { Err(error) } else { Ok(self.end_early()) };
-                    }
-                },
-                // Not in the data of a file.
-                _ => false,
-            };
-            if !is_plausible {
+            let Some(extent) = self.window.measure()? else {
                 return self.resynchronise(WRONG_HEAD);
+            };
+            let next = self.next_start(&extent)?;
+            if next < extent.end {
+                let error = self.damaged(WRONG_HEAD);
+                self.used = next as usize;
+                return Err(error);
             }
-            if matches!(kind, kind::ATTACHMENT | kind::MESSAGE_INDEX | 0x80..) {
-                if !self.skip(length.saturating_add(RECORD_HEAD as u64))? {
-                    return Ok(self.end_early());
+            let length = extent.end.min(MAX_CHUNK_BYTES + RECORD_HEAD as u64) as usize;
+            match extent.kind {
+                // Without its lengths.
+                _ if extent.fields == u64::MAX => return Ok(self.end_early()),
+                kind::DATA_END | kind::FOOTER => {
+                    // The damaged kind of another record.
+                    let is_last = self.window.peek(length + 1)?.len() <= length;
+                    if !is_last && self.window.begins(extent.end, is_data)? {
+                        return self.resynchronise(WRONG_HEAD);
+                    }
+                    if extent.kind == kind::DATA_END && self.has_wrong_checksum() {
+                        return Err(self.damaged("the checksum of the file is wrong"));
+                    }
+                    self.is_truncated |= !self.is_end_whole(&extent)?;
+                    if !self.skip_to_joined()? {
+                        return Ok(None);
+                    }
+                    self.has_chunks = None;
                 }
-                continue;
+                kind::CHUNK => {
+                    self.has_chunks = Some(true);
+                    self.window.peek(length)?;
+                    return self.chunk(length);
+                }
+                kind::HEADER..=kind::MESSAGE | kind::METADATA => {
+                    if self.window.peek(length)?.len() < length {
+                        return Ok(self.end_early());
+                    }
+                    let content = RECORD_HEAD..extent.fields as usize;
+                    if extent.kind == kind::MESSAGE
+                        && *self.has_chunks.get_or_insert(false)
+                        && is_message_index(self.window.bytes(content.clone()))
+                    {
+                        return self.resynchronise(WRONG_HEAD);
+                    }
+                    if !is_well_formed(extent.kind, self.window.bytes(content.clone())) {
+                        // Its length may be that of its damaged fields.
+                        let error = self.damaged("a record is malformed");
+                        match self.window.begins(extent.end, |_| true)? {
+                            true => self.used = length,
+                            false => drop(self.find_record()?),
+                        }
+                        return Err(error);
+                    }
+                    self.used = length;
+                    return Ok(Some(Section::Record { kind: extent.kind, content }));
+                }
+                kind => {
+                    if kind == kind::MESSAGE_INDEX {
+                        self.has_chunks = Some(true);
+                    }
+                    if !self.window.skip_with(extent.end, |_| {})? {
+                        return Ok(self.end_early());
+                    }
+                }
             }
-            let length = usize::try_from(length).unwrap_or(usize::MAX);
-            let end = RECORD_HEAD.saturating_add(length);
-            let found = self.peek(end)?;
-            let content = found.get(RECORD_HEAD..end.min(found.len())).unwrap_or_default();
-            match fields_length(kind, content) {
-                Some(fields) if fields != length => {
-                    return self
-                        .resynchronise("a record's fields are longer or shorter than it is");
-                }
-                None if found.len() >= end => {
-                    return self.resynchronise("a record is shorter than its fields");
-                }
-                _ if found.len() < end => return Ok(self.end_early()),
-                // The length of a malformed record may reach into the next chunk.
-                _ if !is_well_formed(kind, content) => {
-                    return self.resynchronise("a record is malformed");
-                }
-                _ => {}
-            }
-            self.used = end;
-            let content = self.start + RECORD_HEAD..self.start + end;
-            return Ok(Some(Section::Record { kind, content }));
         }
+    }
+
+    /// Returns where the record after this one begins, counted from here.
+    fn next_start(&mut self, extent: &Extent) -> Result<u64, FileError> {
+        let known = match extent.is_proved() {
+            true => 0,
+            false => self.window.peek(extent.end.min(MAX_CHUNK_BYTES) as usize)?.len() as u64,
+        };
+        next_start(extent, known, |at| {
+            let is_chunked = self.has_chunks == Some(true);
+            let kinds = match at {
+                _ if at == extent.end => {
+                    if is_chunked {
+                        outside_chunks
+                    } else {
+                        |_| true
+                    }
+                }
+                _ if at == 1 || at == extent.fields => is_known,
+                _ => self.kinds_to_find()?,
+            };
+            self.window.begins(at, kinds)
+        })
+    }
+
+    /// Kinds of records to search for after damage. In a file with chunks, others may lie in a chunk
+    /// with a damaged head, where no checksum proves them. Which file it is shows the first chunk or
+    /// message, or else what lies as far ahead as one chunk reaches.
+    fn kinds_to_find(&mut self) -> Result<Kinds, FileError> {
+        let mut at = 1;
+        while self.has_chunks.is_none() {
+            if self.window.is_shown(at, |kind| matches!(kind, kind::CHUNK | kind::MESSAGE_INDEX))? {
+                self.has_chunks = Some(true);
+            } else if at == MAX_CHUNK_BYTES || self.window.peek(at as usize + 1)?.len() as u64 <= at
+            {
+                self.has_chunks = Some(false);
+            }
+            at += 1;
+        }
+        Ok(if self.has_chunks == Some(true) { outside_chunks } else { is_known })
     }
 
     /// If the next record lies in an unwanted part, continues after that part. If no record
     /// begins there, the file has lost or gained bytes since its index was written: then
     /// leaves out nothing.
     fn leave_out(&mut self) -> Result<(), FileError> {
-        let here = self.offset;
+        let here = self.window.offset;
         while let Some(part) = self.unwanted.front().cloned()
-            && part.start <= self.offset
+            && part.start <= self.window.offset
         {
             self.unwanted.pop_front();
-            if part.contains(&self.offset) {
-                self.continue_at(part.end)?;
-                if !self.begins_here()? {
+            if part.contains(&self.window.offset) {
+                self.window.continue_at(part.end)?;
+                if !self.window.begins(0, outside_chunks)? {
                     self.unwanted.clear();
-                    return self.continue_at(here);
+                    return self.window.continue_at(here);
                 }
             }
         }
         Ok(())
     }
 
-    fn continue_at(&mut self, place: u64) -> Result<(), FileError> {
-        self.input.continue_at(place).map_err(FileError::Io)?;
-        self.window.clear();
-        (self.start, self.offset) = (0, place);
-        Ok(())
-    }
-
-    /// Returns true if a chunk, metadata or the end of the data begins here.
-    fn begins_here(&mut self) -> Result<bool, FileError> {
-        let head = self.peek(MAX_CHUNK_HEAD)?;
-        match record_head(head) {
-            Some((kind::CHUNK, _)) => Ok(chunk_head(head).is_some()),
-            Some((kind::METADATA, length)) if length <= MAX_RECORD_BYTES => {
-                let end = RECORD_HEAD + length as usize;
-                let content = self.peek(end)?.get(RECORD_HEAD..end);
-                Ok(content.is_some_and(|content| is_well_formed(kind::METADATA, content)))
-            }
-            _ => Ok(head.starts_with(&DATA_END_HEAD)),
-        }
-    }
-
-    /// Returns true if a record that is skipped has its true length: an attachment if its own
-    /// lengths agree, another one if a record follows. Returns `None` if the file has fewer bytes.
-    fn is_whole(&mut self, kind: u8, length: u64) -> Result<Option<bool>, FileError> {
-        let is_attachment = kind == kind::ATTACHMENT;
-        let most = if is_attachment { MAX_RECORD_BYTES } else { MAX_CHUNK_BYTES };
-        if length > most && !is_attachment {
-            return Ok(None);
-        }
-        let content = length.min(most) as usize;
-        let wanted = RECORD_HEAD + content + if is_attachment { 0 } else { RECORD_HEAD };
-        let found = self.peek(wanted)?;
-        if is_attachment {
-            let lengths = attachment_length(found.get(RECORD_HEAD..).unwrap_or_default());
-            let is_short = lengths.is_none() && found.len() < wanted;
-            return Ok((!is_short).then_some(lengths == Some(length)));
-        }
-        let next = found.get(RECORD_HEAD + content..).and_then(record_head);
-        Ok(next.map(|(kind, length)| match kind {
-            kind::ATTACHMENT => true,
-            kind::SCHEMA..=kind::DATA_END | 0x80.. => length <= MAX_CHUNK_BYTES,
-            _ => false,
-        }))
-    }
-
-    fn chunk(&mut self, kind: u8, head: ChunkHead) -> Result<Option<Section>, FileError> {
-        const WRONG_CHECKSUM: &str = "a chunk's checksum is wrong";
-        let found = self.peek(head.records.end)?.len();
+    /// Reads the chunk here, whose record has `length` bytes if the file was not cut off.
+    fn chunk(&mut self, length: usize) -> Result<Option<Section>, FileError> {
+        let bytes = self.window.peek(length)?;
+        self.used = length.min(bytes.len());
+        let found = self.used;
+        let Some(head) = chunk_head(bytes) else { return Ok(self.end_early()) };
         let is_whole = found >= head.records.end;
-        let end = head.records.end.min(found);
-        self.used = end;
-        if kind != kind::CHUNK {
-            return Err(self.damaged(WRONG_CHECKSUM));
-        }
         let records = if head.compression.is_empty() {
-            let end = self.start + end;
-            (self.start + head.records.start).min(end)..end
+            let end = head.records.end.min(found);
+            head.records.start.min(end)..end
         } else {
             self.decompress(&head, is_whole)?;
             0..self.decompressed.len()
         };
         // A chunk that is cut short cannot be checked.
         self.is_truncated |= !is_whole;
-        let is_checked = is_whole && head.crc != 0;
-        if is_checked && crc32fast::hash(self.bytes(records.clone())) != head.crc {
-            return Err(self.damaged(WRONG_CHECKSUM));
+        let is_proved = is_whole && head.crc != 0;
+        if is_proved && crc32fast::hash(self.bytes(records.clone())) != head.crc {
+            return Err(self.damaged("a chunk's checksum is wrong"));
         }
-        Ok(Some(Section::Chunk { records, is_cut: !is_whole }))
+        Ok(Some(Section::Chunk { records, is_cut: !is_whole, is_proved }))
     }
 
-    /// Decompresses the chunk at `start`.
+    /// Decompresses the chunk here.
     fn decompress(&mut self, head: &ChunkHead, is_whole: bool) -> Result<(), FileError> {
-        let chunk = self.window.get(self.start..self.start + self.used).unwrap_or_default();
+        let chunk = self.window.bytes(0..self.used.min(head.records.end));
         match decompress(chunk, head, &mut self.decompressed) {
             Err(Failure::Compression) => Err(FileError::Compressed(head.compression.clone())),
             Err(Failure::Damaged(reason)) if is_whole => Err(self.damaged(reason)),
@@ -331,98 +287,51 @@ impl Sections {
         }
     }
 
-    pub(super) fn damaged(&self, reason: &'static str) -> FileError {
-        FileError::Damaged { offset: self.offset, reason }
+    /// Returns true if the file has another checksum than the one in the record here, which covers
+    /// all bytes before it. Not checked after damage, nor in a file with chunks, which have their
+    /// own: mcap 0.26.0 writes a wrong one if its chunks have none.
+    fn has_wrong_checksum(&mut self) -> bool {
+        let told = Fields(self.window.bytes(RECORD_HEAD..RECORD_HEAD + 4)).u32();
+        let found = self.window.checksum.take().map(crc32fast::Hasher::finalize);
+        self.has_chunks != Some(true) && found.is_some() && told != Some(0) && told != found
+    }
+
+    /// Skips to the first record of a file that does not begin like MCAP. Fails if there is
+    /// none nearby: a few damaged bytes do not make another kind of file.
+    fn find_first_record(&mut self) -> Result<Option<Section>, FileError> {
+        let error = self.damaged("the file does not begin with the magic bytes of MCAP");
+        let is_first =
+            |kind| matches!(kind, kind::HEADER | kind::SCHEMA | kind::CHANNEL | kind::CHUNK);
+        match self.window.skip_to(is_first, MAX_CHUNK_BYTES)? {
+            true => Err(error),
+            false => Err(FileError::NotMcap),
+        }
+    }
+
+    /// Skips to the next record, or to the end of the file.
+    fn resynchronise(&mut self, reason: &'static str) -> Result<Option<Section>, FileError> {
+        let error = self.damaged(reason);
+        self.find_record()?;
+        Err(error)
+    }
+
+    fn find_record(&mut self) -> Result<(), FileError> {
+        let is_stray = self.window.begins(1, is_known)?;
+        let kinds = self.kinds_to_find()?;
+        match is_stray {
+            true => self.used = 1,
+            false => drop(self.window.skip_to(kinds, u64::MAX)?),
+        }
+        Ok(())
+    }
+
+    pub(super) fn damaged(&mut self, reason: &'static str) -> FileError {
+        self.window.checksum = None;
+        FileError::Damaged { offset: self.window.offset, reason }
     }
 
     fn end_early<T>(&mut self) -> Option<T> {
         self.is_truncated = true;
         None
     }
-
-    /// Skips this many bytes. Returns false if the file has fewer.
-    fn skip(&mut self, length: u64) -> Result<bool, FileError> {
-        self.skip_with(length, |_| {})
-    }
-
-    /// Skips bytes, and passes them to `see` in pieces.
-    fn skip_with(&mut self, length: u64, mut see: impl FnMut(&[u8])) -> Result<bool, FileError> {
-        let mut rest = length;
-        while rest > 0 {
-            let next = rest.min(READ_BYTES as u64) as usize;
-            let Some(bytes) = self.peek(next)?.get(..next) else { return Ok(false) };
-            see(bytes);
-            self.used = next;
-            self.drop_used();
-            rest -= next as u64;
-        }
-        Ok(true)
-    }
-
-    /// Reads ahead: at least `count` bytes, unless the file has fewer.
-    fn peek(&mut self, count: usize) -> Result<&[u8], FileError> {
-        if self.window.len().saturating_sub(self.start) < count {
-            self.window.drain(..self.start);
-            self.start = 0;
-            // Grows with the existing bytes, not with the claimed ones. Takes what a pipe has, and
-            // does not wait for more.
-            while self.window.len() < count && self.read_more().map_err(FileError::Io)? {}
-        }
-        Ok(self.window.get(self.start..).unwrap_or_default())
-    }
-
-    /// Reads up to [`READ_BYTES`]. Returns false at the end of the input.
-    fn read_more(&mut self) -> io::Result<bool> {
-        let read = loop {
-            match self.input.read(&mut self.buffer) {
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                outcome => break outcome?,
-            }
-        };
-        self.window.extend_from_slice(self.buffer.get(..read).unwrap_or_default());
-        Ok(read > 0)
-    }
-
-    fn drop_used(&mut self) {
-        let used = std::mem::take(&mut self.used);
-        self.start += used;
-        self.offset += used as u64;
-    }
-}
-
-/// Length of an attachment by the lengths in it: times, name, media type, data and CRC.
-fn attachment_length(content: &[u8]) -> Option<u64> {
-    let mut fields = Fields(content);
-    let _times = (fields.u64()?, fields.u64()?);
-    let _names = (fields.bytes()?, fields.bytes()?);
-    let data = fields.u64()?;
-    data.checked_add((content.len() - fields.0.len()) as u64 + 4)
-}
-
-/// Length of the chunk's head at the beginning of `bytes`, which may be cut off.
-fn chunk_head_length(bytes: &[u8]) -> usize {
-    // The last fields are the length of the name, the name, and the length of the records.
-    let name = bytes.get(CHUNK_HEAD - 8 - 4..).and_then(|rest| Fields(rest).u32());
-    CHUNK_HEAD + name.map_or(0, |length| (length as usize).min(MAX_COMPRESSION_NAME))
-}
-
-/// Head of the chunk at the beginning of `bytes`, whatever its kind says, if its lengths
-/// agree.
-fn chunk_head(bytes: &[u8]) -> Option<ChunkHead> {
-    let (_, length) = record_head(bytes)?;
-    let mut fields = Fields(bytes.get(RECORD_HEAD..)?);
-    let (_start, _end, size) = (fields.u64()?, fields.u64()?, fields.u64()?);
-    let crc = fields.u32()?;
-    let name = fields.bytes()?;
-    let records = fields.u64()?;
-    let start = CHUNK_HEAD + name.len();
-    let agrees = name.len() <= MAX_COMPRESSION_NAME
-        && length <= MAX_CHUNK_BYTES
-        && length.checked_sub((start - RECORD_HEAD) as u64) == Some(records)
-        && (!name.is_empty() || size == records);
-    let end = start.checked_add(usize::try_from(records).ok()?)?;
-    agrees.then(|| {
-        let compression = name.escape_ascii().to_string();
-        ChunkHead { size, crc, compression, records: start..end }
-    })
 }

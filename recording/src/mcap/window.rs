@@ -1,0 +1,171 @@
+//! [`Window`]: the bytes of a file around the position of its reader.
+
+use std::io::{self, Read};
+use std::ops::Range;
+
+use crc32fast::Hasher;
+
+use super::error::FileError;
+use super::form::{After, Extent, Kinds, Unmeasured, begins, is_shown, measure};
+use super::input::Input;
+
+/// Number of bytes to read at once.
+pub(super) const READ_BYTES: usize = 64 << 10;
+
+/// Part of a file that is in memory: from the reader's position on.
+#[derive(Default)]
+pub(super) struct Window {
+    pub(super) input: Input,
+    /// Room for one read.
+    buffer: Vec<u8>,
+    /// Bytes of the file, used up to `start`.
+    bytes: Vec<u8>,
+    start: usize,
+    /// Position of `start` in the file.
+    pub(super) offset: u64,
+    /// Checksum of the file up to here, unless parts of it were left out.
+    pub(super) checksum: Option<Hasher>,
+}
+
+impl Window {
+    pub(super) fn new(input: Input) -> Self {
+        let checksum = Some(Hasher::new());
+        Self { input, buffer: vec![0; READ_BYTES], checksum, ..Self::default() }
+    }
+
+    /// Reads ahead: at least `count` bytes, unless the file has fewer.
+    pub(super) fn peek(&mut self, count: usize) -> Result<&[u8], FileError> {
+        if self.bytes.len().saturating_sub(self.start) < count {
+            self.bytes.drain(..self.start);
+            self.start = 0;
+            // Grows with the existing bytes, not with the claimed ones. Takes what a pipe has, and
+            // does not wait for more.
+            while self.bytes.len() < count && self.read_more().map_err(FileError::Io)? {}
+        }
+        Ok(self.bytes.get(self.start..).unwrap_or_default())
+    }
+
+    /// Reads up to [`READ_BYTES`]. Returns false at the end of the input.
+    fn read_more(&mut self) -> io::Result<bool> {
+        let read = loop {
+            match self.input.read(&mut self.buffer) {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                outcome => break outcome?,
+            }
+        };
+        self.bytes.extend_from_slice(self.buffer.get(..read).unwrap_or_default());
+        Ok(read > 0)
+    }
+
+    /// Bytes that were read ahead, counted from here.
+    pub(super) fn bytes(&self, range: Range<usize>) -> &[u8] {
+        self.bytes.get(self.start..).and_then(|bytes| bytes.get(range)).unwrap_or_default()
+    }
+
+    /// Goes forward over bytes that were read ahead.
+    pub(super) fn advance(&mut self, count: usize) {
+        if let Some(mut checksum) = self.checksum.take() {
+            checksum.update(self.bytes(0..count));
+            self.checksum = Some(checksum);
+        }
+        self.start += count;
+        self.offset += count as u64;
+    }
+
+    /// Skips bytes, and passes them to `see` in pieces. Returns false if the file has fewer.
+    pub(super) fn skip_with(
+        &mut self,
+        length: u64,
+        mut see: impl FnMut(&[u8]),
+    ) -> Result<bool, FileError> {
+        let mut rest = length;
+        while rest > 0 {
+            let next = rest.min(READ_BYTES as u64) as usize;
+            let Some(bytes) = self.peek(next)?.get(..next) else { return Ok(false) };
+            see(bytes);
+            self.advance(next);
+            rest -= next as u64;
+        }
+        Ok(true)
+    }
+
+    /// Continues at this position of the file.
+    pub(super) fn continue_at(&mut self, place: u64) -> Result<(), FileError> {
+        self.input.continue_at(place).map_err(FileError::Io)?;
+        self.bytes.clear();
+        (self.start, self.offset, self.checksum) = (0, place, None);
+        Ok(())
+    }
+
+    /// Measures the record here, or returns `None` if no record begins here. A record whose lengths
+    /// the file does not have to its end reaches beyond it.
+    pub(super) fn measure(&mut self) -> Result<Option<Extent>, FileError> {
+        let mut wanted = 1;
+        loop {
+            let bytes = self.peek(wanted)?;
+            match measure(bytes, after(bytes, wanted)) {
+                Ok(extent) => return Ok(Some(extent)),
+                Err(Unmeasured::Wrong) => return Ok(None),
+                Err(Unmeasured::Needs(more)) if bytes.len() < more && bytes.len() >= wanted => {
+                    wanted = more;
+                }
+                Err(Unmeasured::Needs(_)) => {
+                    let kind = bytes.first().copied().unwrap_or_default();
+                    return Ok(Some(Extent { kind, fields: u64::MAX, end: u64::MAX }));
+                }
+            }
+        }
+    }
+
+    /// Returns true if a record of these kinds begins `at` bytes from here.
+    pub(super) fn begins(&mut self, at: u64, kinds: Kinds) -> Result<bool, FileError> {
+        self.decide(|bytes, after| begins(bytes, after, at, kinds))
+    }
+
+    /// The same if the record shows it, whatever follows.
+    pub(super) fn is_shown(&mut self, at: u64, kinds: Kinds) -> Result<bool, FileError> {
+        self.decide(|bytes, after| is_shown(bytes, after, at, kinds))
+    }
+
+    /// Reads ahead until so many bytes are known that something can be said of them.
+    fn decide(
+        &mut self,
+        decision: impl Fn(&[u8], After) -> Result<bool, usize>,
+    ) -> Result<bool, FileError> {
+        let mut wanted = 1;
+        loop {
+            let bytes = self.peek(wanted)?;
+            match decision(bytes, after(bytes, wanted)) {
+                Ok(outcome) => return Ok(outcome),
+                Err(more) => wanted = more,
+            }
+        }
+    }
+
+    /// Skips to the next record of these kinds, or to the end of the file. Returns true if there is
+    /// one before `limit`, a position in the file.
+    pub(super) fn skip_to(&mut self, kinds: Kinds, limit: u64) -> Result<bool, FileError> {
+        // Nothing begins at the first byte.
+        let mut at = 1;
+        while self.offset < limit {
+            let known = self.peek(at + 1)?.len();
+            let is_end = known <= at;
+            let is_here = !is_end && self.begins(at as u64, kinds)?;
+            if is_end || is_here {
+                self.advance(at.min(known));
+                return Ok(is_here);
+            }
+            at += 1;
+            if at == READ_BYTES {
+                self.advance(at);
+                at = 0;
+            }
+        }
+        Ok(false)
+    }
+}
+
+/// Tells whether the file may go on after the bytes that were found for `wanted`.
+fn after(found: &[u8], wanted: usize) -> After {
+    if found.len() < wanted { After::EndOfFile } else { After::More }
+}
