@@ -55,8 +55,8 @@ impl Endpoint {
     /// For [`Endpoint::SerialNumber`], each [`connect`](Connect::connect) opens the next port with
     /// the USB id of URG sensors. Check whether it has the right sensor. If not, and
     /// [`has_more`](ConnectHints::has_more) is true, call `connect` again for the next candidate.
-    /// It skips ports that cannot be opened within 2 s. It retries busy ones for 2 s, and opens each
-    /// port that appears in that time. After the last candidate the error is
+    /// It skips ports that cannot be opened within 2 s, and retries busy ones four times, every
+    /// half second. Until then it opens each port that appears. After the last candidate the error is
     /// [`NoSuchSensor`](crate::ErrorKind::NoSuchSensor), or
     /// [`PermissionDenied`](crate::ErrorKind::PermissionDenied) if you may not open one of the
     /// ports. The next call lists the ports again.

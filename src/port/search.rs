@@ -4,20 +4,25 @@
 use std::future::Future;
 use std::mem::replace;
 use std::time::Duration;
+use std::vec;
 
-use tokio::time::{Instant, sleep, timeout};
+use tokio::time::{Instant, sleep, sleep_until, timeout};
 
 use super::list;
 use super::serial::{SerialOpener, SerialPort};
 use crate::{Error, ErrorKind};
 
-/// Time for which busy ports are retried. A service that opens several sensors at once tries each
-/// on the others' ports. Such a port is free again as soon as the other driver has found that it
-/// has the wrong sensor.
-const BUSY_LIMIT: Duration = Duration::from_secs(2);
+/// Delay before the busy ports are retried.
+///
+/// A service that opens several sensors at once tries each on the others' ports. Such a busy port
+/// is free again as soon as the other driver has found that it has the wrong sensor.
+const BUSY_RETRY_DELAY: Duration = Duration::from_millis(500);
 
-/// Time between two listings of the ports, to find those that have appeared, and to retry those
-/// that were busy.
+/// Number of times to retry the busy ports: each time, another search may hold the wanted one.
+/// Enough for five sensors. The search for a missing sensor takes 2 s if other ports stay busy.
+const BUSY_RETRIES: u32 = 4;
+
+/// Time between two listings of the ports, to find those that have appeared.
 const LISTING_INTERVAL: Duration = Duration::from_millis(250);
 
 /// Time after which a port that is still being opened is skipped. Opening takes milliseconds
@@ -75,13 +80,18 @@ pub(super) struct Search<P> {
     pass: Option<Pass>,
 }
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Pass {
-    /// Ports that are not opened again.
-    tried: Vec<String>,
-    /// When to give up on busy ports. Kept here, so that a caller that drops its futures early
-    /// does not wait for ever.
+    untried: vec::IntoIter<String>,
+    /// Ports to open again as soon as they are listed again: the system may not have finished with
+    /// a port that has just appeared.
+    failed: Vec<String>,
+    busy: Vec<String>,
+    /// When to retry the busy ports. Kept here, so that a caller that drops its futures early
+    /// does not restart the delay with each call.
     busy_until: Option<Instant>,
+    /// Number of times that the busy ports were retried.
+    retries: u32,
     /// Error of a port that the user may not open. The sensor may be on it, so this is
     /// reported instead of "no such sensor".
     denied: Option<Error>,
@@ -113,7 +123,7 @@ impl<P: Ports> Search<P> {
             // `next_port` reports what prevents listing.
             let Ok(listed) = self.ports.candidates().await else { continue };
             let before = replace(&mut self.listed, listed);
-            if self.listed.iter().any(|path| !before.contains(path)) {
+            if new_ports(&before, &self.listed).next().is_some() {
                 return;
             }
         }
@@ -122,43 +132,69 @@ impl<P: Ports> Search<P> {
     /// Opens the next port that can be opened. Skips a port that hangs for `OPEN_LIMIT`, and
     /// one that was being opened when the future was dropped.
     pub(super) async fn next_port(&mut self) -> Result<P::Port, Error> {
+        let pass = match &mut self.pass {
+            Some(pass) => pass,
+            None => {
+                self.listed = self.ports.candidates().await?;
+                self.pass.insert(Pass {
+                    untried: self.listed.clone().into_iter(),
+                    failed: Vec::new(),
+                    busy: Vec::new(),
+                    busy_until: None,
+                    retries: 0,
+                    denied: None,
+                })
+            }
+        };
         loop {
-            self.listed = self.ports.candidates().await?;
-            let pass = self.pass.get_or_insert_default();
-            let mut is_busy = false;
-            for path in &self.listed {
-                if pass.tried.contains(path) {
-                    continue;
-                }
-                pass.tried.push(path.clone());
-                match timeout(OPEN_LIMIT, self.ports.open(path)).await {
+            while let Some(path) = pass.untried.next() {
+                match timeout(OPEN_LIMIT, self.ports.open(&path)).await {
                     Ok(Ok(port)) => {
                         tracing::trace!(path, "checking whether the sensor is on this port");
-                        pass.busy_until = None;
                         return Ok(port);
                     }
                     Ok(Err(error)) => {
                         tracing::trace!(path, error = %error.chain(), "port skipped");
-                        if matches!(error.kind(), ErrorKind::PermissionDenied { .. }) {
-                            pass.denied = Some(error);
-                        } else {
-                            // The system may not have finished with a port that has just appeared.
-                            pass.tried.pop();
-                            is_busy |= matches!(error.kind(), ErrorKind::Busy { .. });
-                        }
+                        pass.record_failure(path, error);
                     }
                     Err(_) => tracing::trace!(path, "port skipped, opening it takes too long"),
                 }
             }
-            let until = *pass.busy_until.get_or_insert_with(|| Instant::now() + BUSY_LIMIT);
-            if !is_busy || Instant::now() >= until {
+            if pass.busy.is_empty() {
                 break;
             }
-            sleep(LISTING_INTERVAL).await;
+            let until = *pass.busy_until.get_or_insert_with(|| Instant::now() + BUSY_RETRY_DELAY);
+            sleep_until(until.min(Instant::now() + LISTING_INTERVAL)).await;
+            let listed = self.ports.candidates().await?;
+            self.listed.retain(|path| !pass.failed.contains(path));
+            pass.failed.clear();
+            let mut untried: Vec<_> = new_ports(&self.listed, &listed).cloned().collect();
+            self.listed = listed;
+            if Instant::now() >= until {
+                pass.busy_until = None;
+                pass.retries += 1;
+                untried.append(&mut pass.busy);
+            }
+            pass.untried = untried.into_iter();
         }
         let denied = self.pass.take().and_then(|pass| pass.denied);
         let missing = || ErrorKind::NoSuchSensor { serial_number: self.serial_number.clone() };
         Err(denied.unwrap_or_else(|| missing().into()))
+    }
+}
+
+fn new_ports<'a>(before: &'a [String], now: &'a [String]) -> impl Iterator<Item = &'a String> {
+    now.iter().filter(|path| !before.contains(path))
+}
+
+impl Pass {
+    fn record_failure(&mut self, path: String, error: Error) {
+        match error.kind() {
+            ErrorKind::Busy { .. } if self.retries < BUSY_RETRIES => self.busy.push(path),
+            ErrorKind::Busy { .. } => {}
+            ErrorKind::PermissionDenied { .. } => self.denied = Some(error),
+            _ => self.failed.push(path),
+        }
     }
 }
 
@@ -305,33 +341,36 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_busy_port_is_retried_for_two_seconds() {
-        let mut search = search(&[("a", "bbo"), ("b", "o"), ("c", "b")]);
+    async fn a_busy_port_is_retried_when_the_others_are_through() {
+        let mut search = search(&[("a", "bo"), ("b", "o"), ("c", "b")]);
         let start = Instant::now();
         assert_eq!(next(&mut search).await, "b");
         assert_eq!(start.elapsed(), Duration::ZERO, "others come first");
         assert_eq!(next(&mut search).await, "a");
-        assert_eq!(start.elapsed(), LISTING_INTERVAL);
+        assert_eq!(start.elapsed(), BUSY_RETRY_DELAY);
         assert_eq!(next(&mut search).await, "no H0713090");
-        assert_eq!(start.elapsed(), LISTING_INTERVAL + BUSY_LIMIT);
+        assert_eq!(start.elapsed(), BUSY_RETRIES * BUSY_RETRY_DELAY);
+        assert_eq!(search.ports.opened, ["a", "b", "c", "a", "c", "c", "c", "c"]);
     }
 
     #[tokio::test(start_paused = true)]
-    async fn dropped_calls_wait_for_a_busy_port_no_longer() {
-        let mut search = search(&[("a", "b")]);
-        let start = Instant::now();
+    async fn a_busy_port_is_retried_after_dropped_calls() {
+        let mut search = search(&[("a", "bo")]);
         let call = Duration::from_millis(20);
+        let mut calls = 1;
         while timeout(call, search.next_port()).await.is_err() {
-            assert!(start.elapsed() <= BUSY_LIMIT, "the wait begins again and again");
+            calls += 1;
+            assert!(call * calls <= BUSY_RETRY_DELAY + call, "the delay begins again and again");
         }
-        assert!(start.elapsed() >= BUSY_LIMIT);
+        assert_eq!(search.ports.opened, ["a", "a"]);
     }
 
     #[tokio::test(start_paused = true)]
     async fn a_port_that_appears_is_opened_soon() {
         let busy = ["a", "b", "c", "d", "e", "f", "g", "h", "i", "j"].map(|path| (path, "b"));
+        let pass = BUSY_RETRIES * BUSY_RETRY_DELAY;
         for (plan, limit) in [("o", LISTING_INTERVAL), ("eo", 2 * LISTING_INTERVAL)] {
-            let last = (BUSY_LIMIT - limit).as_millis() as u64;
+            let last = (pass - limit).as_millis() as u64;
             for after in (0..=last).step_by(10).map(Duration::from_millis) {
                 let mut search = search(&[&busy[..], &[("new", plan)]].concat());
                 search.ports.appears += after;
@@ -375,7 +414,7 @@ mod tests {
         // Dropped while it waited for the busy port, which is still retried.
         assert!(search.next_port().now_or_never().is_none());
         assert_eq!(next(&mut search).await, "no H0713090");
-        assert!(!search.ports.opened.split_off(1).contains(&"a".to_owned()));
+        assert_eq!(search.ports.opened, ["a", "b", "c", "b", "b", "b", "b"]);
     }
 
     #[tokio::test(start_paused = true)]
