@@ -1,5 +1,5 @@
 //! The cost of decoding a scan of SCIP 2 with the sum of each line, beside copying the same bytes.
-//! With an argument `instructions NUMBER` it decodes so many times and ends, for callgrind.
+//! With the arguments `instructions NUMBER` it decodes NUMBER times and ends, for callgrind.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 

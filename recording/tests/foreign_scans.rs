@@ -64,7 +64,7 @@ struct Truth {
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Form {
     Defined,
-    /// The angles are those of the first and the last step.
+    /// The angles point to the first and the last step.
     UrgNode,
     OtherLaser,
     Short,

@@ -22,7 +22,7 @@ pub struct Geometry {
 }
 
 impl Geometry {
-    /// A URG-04LX in SCIP 1.1: 1,024 steps a revolution, of which it measures 44..=725, and
+    /// A URG-04LX in SCIP 1.1: 1,024 steps a revolution. It measures steps 44..=725 and
     /// distances of 20..=4094 mm (C-42-3320-A p. 7).
     pub const URG_04LX: Self = Self {
         steps_per_revolution: 1024,

@@ -121,7 +121,7 @@ impl Reply {
 /// Decodes the data of a `G` reply with this number of `points`. Fails if [`find_fault`] finds a
 /// fault, but checks many times as fast.
 fn decode(data: &[u8], points: usize) -> Result<Arc<[u32]>, MalformedError> {
-    // As 16 bits, of which one instruction decodes twice as many. Widening them fills the block of
+    // As 16 bits: one instruction decodes twice as many. Widening them fills the block of
     // the scan, which then needs no clearing.
     let mut decoded = [0; Window::FULL.points()];
     let values = decoded.get_mut(..points).unwrap_or_default();

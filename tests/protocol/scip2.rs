@@ -252,7 +252,7 @@ fn a_state_has_its_words_and_its_clock() {
     assert_eq!(found.diagnosis, "Sensor works well.");
     // The sum of a UTM-30LX may end before "<-".
     assert_eq!(state(&frame.replace("user;A\nMESM", "user;[\nMESM")), found);
-    // A UST sends the time in four characters, of which one may be a semicolon.
+    // A UST sends the time in four characters. One may be a semicolon.
     assert_eq!(state(&frame.replace("TIME:001957;O", "TIME:01`U;o")).clock, Some(7205));
     assert_eq!(state(&frame.replace("TIME:001957;O", "TIME:01:;;o")).clock, Some(4747));
     assert_eq!(state(&frame.replace("LASR:OFF;7", "LASR:ON;9")).laser_on, Some(true));

@@ -41,7 +41,7 @@ impl Extent {
 /// Reason why a record has no extent.
 #[derive(Debug)]
 pub(super) enum Unmeasured {
-    /// So many bytes are needed to tell.
+    /// Number of bytes needed to tell.
     Needs(usize),
     /// No record has this kind and these lengths.
     Wrong,

@@ -127,7 +127,7 @@ impl Window {
         self.decide(|bytes, after| is_shown(bytes, after, at, kinds))
     }
 
-    /// Reads ahead until so many bytes are known that something can be said of them.
+    /// Reads ahead until enough bytes are known to judge them.
     fn decide(
         &mut self,
         decision: impl Fn(&[u8], After) -> Result<bool, usize>,

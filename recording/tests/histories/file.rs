@@ -149,7 +149,7 @@ struct Part {
 
 enum Content {
     Schema(u16),
-    /// Its number, and that of its schema.
+    /// Its number, and the number of its schema.
     Channel(u16, u16),
     Message(u16, Message),
 }
@@ -243,7 +243,7 @@ impl Layout {
         self.parts.push(Part { places, content });
     }
 
-    /// Returns true if damage there may change messages, and nobody can tell.
+    /// Returns true if damage there may change messages without a trace.
     pub(super) fn is_unproved(&self, is_hit: impl Fn(&Range<usize>) -> bool) -> bool {
         self.unproved.iter().any(is_hit)
     }

@@ -132,7 +132,7 @@ fn decode(data: &[u8], values: &mut [u32], in_pairs: bool) -> bool {
     is_whole
 }
 
-/// Fills up less than three lines, of which the last has no LF, with characters that stand for 0.
+/// Fills up less than three lines with characters that stand for 0. The last line has no LF.
 fn full_block(rest: &[u8]) -> [u8; BLOCK] {
     let mut block = [FIRST_CHARACTER; BLOCK];
     let mut lines = rest.chunks(FULL);
@@ -164,7 +164,7 @@ fn decode_blocks(blocks: &[[u8; BLOCK]], values: &mut [[u32; VALUES]]) -> bool {
         let mut sixes = [0; 3 * LINE];
         let lines = block.as_chunks::<FULL>().0.iter();
         for ([line @ .., sum, end], sixes) in lines.zip(sixes.as_chunks_mut::<LINE>().0) {
-            // The sum of 64 characters is that of their numbers: 64 times 0x30 has no low bits.
+            // 64 characters have the sum of their numbers: 64 times 0x30 has no low bits.
             let mut expected = 0u8;
             for ((character, six), seen) in line.iter().zip(sixes).zip(&mut seen) {
                 *six = character.wrapping_sub(FIRST_CHARACTER);

@@ -171,7 +171,7 @@ impl Sections {
                         return self.resynchronise(WRONG_HEAD);
                     }
                     if !is_well_formed(extent.kind, self.window.bytes(content.clone())) {
-                        // Its length may be that of its damaged fields.
+                        // Its length may come from its damaged fields.
                         let error = self.damaged("a record is malformed");
                         match self.window.begins(extent.end, |_| true)? {
                             true => self.used = length,

@@ -134,7 +134,7 @@ impl Session {
         !self.is_settled || !self.transport.pending().is_empty()
     }
 
-    /// Waits for bytes that nobody asked for. The session is [in doubt](Self::is_in_doubt) then.
+    /// Waits for unsolicited bytes. The session is [in doubt](Self::is_in_doubt) then.
     pub(crate) fn poll_unasked(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), LinkError>> {
         self.transport.poll_idle(cx)
     }
