@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
 #[cfg(unix)]
 use std::sync::LazyLock;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread;
 use std::time::Duration;
@@ -284,7 +285,10 @@ impl Scratch {
     }
 
     fn new_with(name: &str, extension: &str) -> Self {
-        let name = format!("urg-{name}-{}{extension}", std::process::id());
+        // Two tests that chose the same name run at once.
+        static MADE: AtomicUsize = AtomicUsize::new(0);
+        let number = MADE.fetch_add(1, Ordering::Relaxed);
+        let name = format!("urg-{name}-{}-{number}{extension}", std::process::id());
         Self(std::env::temp_dir().join(name))
     }
 
