@@ -91,7 +91,7 @@ fn naive_decoder(bencher: Bencher) {
 
 /// Returns the values of a reply, decoded one byte after the other, or `None` if it is
 /// malformed.
-fn naive(command: &[u8], points: usize, bytes: &[u8]) -> Option<Arc<[u32]>> {
+fn naive(command: &[u8], points: usize, bytes: &[u8]) -> Option<Arc<[u16]>> {
     let mut lines: Vec<Vec<u8>> = vec![Vec::new()];
     for &byte in bytes {
         match byte {
@@ -115,7 +115,7 @@ fn naive(command: &[u8], points: usize, bytes: &[u8]) -> Option<Arc<[u32]>> {
             if !(0x30..0x70).contains(&byte) {
                 return None;
             }
-            let six = u32::from(byte - 0x30);
+            let six = u16::from(byte - 0x30);
             match upper.take() {
                 None => upper = Some(six),
                 Some(upper) => values.push(upper << 6 | six),

@@ -277,9 +277,10 @@ fn driver(unpaused: bool, path: &Path, pattern: &Pattern, scans: usize) -> Cost 
         let mut stream = sensor.scans(Window::DETECTION, rate).await.unwrap();
         let mut next = async || {
             let scan = stream.next().await.unwrap().unwrap();
-            let [.., first, second] = *scan.values() else { panic!("no scan") };
+            let values: Vec<u32> = scan.raw_values().collect();
+            let [.., first, second] = *values else { panic!("no scan") };
             let sextets = [first >> 6, first & 63, second >> 6, second & 63];
-            since(Stamp(sextets.map(u32::from)))
+            since(Stamp(sextets))
         };
         for _ in 0..FIRST_SCANS {
             next().await;

@@ -32,7 +32,7 @@ impl WriteItem {
     pub(super) fn weight(&self) -> usize {
         OVERHEAD_BYTES
             + match self {
-                Self::Scan(scan) => scan.len() * size_of::<u32>(),
+                Self::Scan(scan) => scan.len() * size_of::<u16>(),
                 Self::Reply { bytes, .. } => bytes.len(),
                 Self::Event { json, .. } => json.len(),
                 Self::Metadata(_) | Self::Finish(_) => 0,

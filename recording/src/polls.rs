@@ -325,6 +325,6 @@ impl RecordedReply {
     /// Values of a successful reply to `G`.
     pub(super) fn values(&self) -> Option<Vec<u32>> {
         let Some(Command::Distances(_)) = self.command else { return None };
-        Some(self.parse()?.values().to_vec())
+        Some(self.parse()?.values().iter().map(|value| u32::from(*value)).collect())
     }
 }

@@ -34,7 +34,8 @@ fn describe(folder: &Path, files: &[&str]) {
 /// Values of all scans, and whether an end was missing.
 fn read(recording: Recording) -> (Vec<Vec<u32>>, bool) {
     let mut scans = recording.scans();
-    let values = scans.by_ref().map(|scan| scan.unwrap().values().to_vec()).collect();
+    let values =
+        scans.by_ref().map(|scan| scan.unwrap().raw_values().collect::<Vec<_>>()).collect();
     (values, scans.is_truncated())
 }
 

@@ -260,7 +260,10 @@ fn counted(counts: &[LeftOut]) -> BTreeMap<LeftOutReason, u64> {
 }
 
 fn check(scan: &Scan, expected: &Expected) {
-    assert_eq!((scan.window(), scan.values()), (expected.window, &*expected.values));
+    assert_eq!(
+        (scan.window(), scan.raw_values().collect()),
+        (expected.window, expected.values.clone())
+    );
     let near = |found: Duration, wanted: i64| {
         let error = (found.as_nanos() as i64 - wanted).abs();
         assert!(error < 3_000, "{found:?}: {error} ns from {wanted}");
@@ -308,7 +311,10 @@ async fn every_message_is_a_scan_or_counted() {
         assert_eq!(replayed.len(), scans.len(), "{seed}: replayed");
         for (replayed, expected) in replayed.iter().zip(&truth.scans) {
             if expected.window == first.window {
-                assert_eq!(replayed.values(), expected.values, "{seed}: replayed");
+                assert!(
+                    replayed.raw_values().eq(expected.values.iter().copied()),
+                    "{seed}: replayed"
+                );
             }
         }
     }

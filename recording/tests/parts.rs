@@ -91,7 +91,7 @@ async fn a_part_without_metadata_has_its_scans() {
         // Fewer than four scans may all be widened.
         for (number, place) in places.into_iter().enumerate().take(17) {
             let part = || sink.open().range(place..);
-            let scans = part().scans().map(|scan| scan.unwrap().values().to_vec());
+            let scans = part().scans().map(|scan| scan.unwrap().raw_values().collect::<Vec<_>>());
             let rest = &delivered[number..];
             assert!(scans.eq(rest.iter().cloned()), "{window}, from {number}");
             let replayed = values(&replayed(part(), window).await);

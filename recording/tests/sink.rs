@@ -142,7 +142,7 @@ pub(crate) async fn replayed(recording: Recording, window: Window) -> Vec<Scan> 
 }
 
 pub(crate) fn values<'a>(scans: impl IntoIterator<Item = &'a Scan>) -> Vec<Vec<u32>> {
-    scans.into_iter().map(|scan| scan.values().to_vec()).collect()
+    scans.into_iter().map(|scan| scan.raw_values().collect::<Vec<_>>()).collect()
 }
 
 /// Returns the replies to polls.

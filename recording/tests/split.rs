@@ -85,13 +85,14 @@ async fn each_file_of_a_split_recording_replays_alone() {
             let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
             let mut replayed = Vec::new();
             while let Some(Ok(scan)) = stream.next().await {
-                replayed.push(scan.values().to_vec());
+                replayed.push(scan.raw_values().collect::<Vec<_>>());
             }
             assert_eq!(replayed.len(), scans.len(), "{part:?}");
             all.extend(replayed);
             write_truth(&part.with_extension("txt"), &truth_of(&delivered, &scans));
         }
-        let delivered: Vec<_> = delivered.iter().map(|scan| scan.values().to_vec()).collect();
+        let delivered: Vec<_> =
+            delivered.iter().map(|scan| scan.raw_values().collect::<Vec<_>>()).collect();
         assert!(all == delivered, "{name}: {} scans of {}", all.len(), delivered.len());
     }
 }

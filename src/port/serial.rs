@@ -242,9 +242,20 @@ impl PortHints for SerialPort {
     }
 }
 
+impl SerialPort {
+    /// Does what remains before the port can be closed, and does not wait.
+    fn release(&mut self) {
+        self.discard_output();
+        #[cfg(unix)]
+        if let Some(tty) = &mut self.tty {
+            tty.unlock();
+        }
+    }
+}
+
 impl Drop for SerialPort {
     fn drop(&mut self) {
-        self.discard_output();
+        self.release();
         // A thread that changes the baud rate closes the port itself.
         if let Some(tty) = self.tty.take() {
             thread::drop_on(tty);
@@ -340,6 +351,30 @@ mod tests {
         drop(hang);
         assert!(opener.open("/dev/gone").await.is_err());
         assert!(!opener.is_opening());
+    }
+
+    /// On a thread of its own, which gives up the privilege to pass the lock.
+    #[cfg(any(target_os = "linux", target_os = "android"))]
+    fn is_locked(path: &str) -> bool {
+        let path = path.to_owned();
+        let open = move || {
+            respect_locks();
+            std::fs::File::open(path).is_err()
+        };
+        std::thread::spawn(open).join().unwrap()
+    }
+
+    #[cfg(any(target_os = "linux", target_os = "android"))]
+    #[tokio::test]
+    async fn a_port_that_waits_to_be_closed_is_not_locked() {
+        let (_far, near) = serialport::TTYPort::pair().unwrap();
+        let path = tokio_serial::SerialPort::name(&near).unwrap();
+        // It is locked by its maker, and would stay so.
+        drop(near);
+        let mut port = SerialPort::open(&path).await.unwrap();
+        assert!(is_locked(&path));
+        port.release();
+        assert!(!is_locked(&path));
     }
 
     #[test]

@@ -80,6 +80,13 @@ impl Tty {
         self.port.clear(buffer)
     }
 
+    /// Removes the lock by `TIOCEXCL`, which a pseudo-terminal keeps if the program ends before
+    /// the port is closed.
+    pub(super) fn unlock(&mut self) {
+        // Fails only if the port is gone.
+        let _ = self.port.set_exclusive(false);
+    }
+
     /// Reads the bytes that the system has, without the runtime's I/O driver.
     pub(super) fn try_read(&self, bytes: &mut [u8]) -> io::Result<usize> {
         (&self.port).read(bytes)

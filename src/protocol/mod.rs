@@ -11,7 +11,7 @@
 //! let frame = b"G38438501\n0\nCB06"; // as received, without the two LFs at its end
 //! let reply = Reply::parse(&command, frame)?;
 //!
-//! let meanings = reply.values().iter().map(|value| Geometry::URG_04LX.measurement(*value));
+//! let meanings = reply.values().iter().map(|value| Geometry::URG_04LX.measurement((*value).into()));
 //! let ranges: Vec<f32> = meanings.map(Measurement::range).collect();
 //! assert_eq!(ranges, [1.234, f32::INFINITY]); // 1,234 mm, and error code 6
 //! # Ok::<(), Box<dyn std::error::Error>>(())

@@ -4,11 +4,12 @@
 //! SCIP 1.1 has no checksum, so every other sign of damage is checked. A frame that
 //! passes has exactly the shape that its command asked for.
 
+use std::iter::repeat_n;
 use std::sync::Arc;
 
 use super::malformed::{foreign, no_status};
 use super::window::BLOCK;
-use super::{Command, MalformedError, ReplyError, Status, Window};
+use super::{Command, MalformedError, ReplyError, Status};
 
 /// First of the 64 characters that carry 6 bits (p. 5).
 const FIRST_CHARACTER: u8 = 0x30;
@@ -21,7 +22,7 @@ pub struct Reply {
     /// Data of a successful `V`, otherwise empty.
     text: Vec<u8>,
     /// Values of a successful `G`, otherwise empty.
-    values: Arc<[u32]>,
+    values: Arc<[u16]>,
 }
 
 impl Reply {
@@ -99,11 +100,11 @@ impl Reply {
 
     /// Values of a successful `G`, 0..=4095 each, in the order of their steps. Empty for any
     /// other reply.
-    pub fn values(&self) -> &[u32] {
+    pub fn values(&self) -> &[u16] {
         &self.values
     }
 
-    pub(crate) fn into_values(self) -> Arc<[u32]> {
+    pub(crate) fn into_values(self) -> Arc<[u16]> {
         self.values
     }
 
@@ -120,15 +121,13 @@ impl Reply {
 
 /// Decodes the data of a `G` reply with this number of `points`. Fails if [`find_fault`] finds a
 /// fault, but checks many times as fast.
-fn decode(data: &[u8], points: usize) -> Result<Arc<[u32]>, MalformedError> {
-    // As 16 bits: one instruction decodes twice as many. Widening them fills the block of
-    // the scan, which then needs no clearing.
-    let mut decoded = [0; Window::FULL.points()];
-    let values = decoded.get_mut(..points).unwrap_or_default();
-    if !decode_into(data, values) {
+fn decode(data: &[u8], points: usize) -> Result<Arc<[u16]>, MalformedError> {
+    let mut values: Arc<[u16]> = repeat_n(0, points).collect();
+    let is_whole = Arc::get_mut(&mut values).is_some_and(|values| decode_into(data, values));
+    if !is_whole {
         find_fault(data, points * 2)?;
     }
-    Ok(values.iter().map(|value| u32::from(*value)).collect())
+    Ok(values)
 }
 
 /// Decodes the data into `values`. Returns true if it has the right shape for their number.

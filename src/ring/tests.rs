@@ -149,7 +149,7 @@ proptest! {
             let depth = readers.iter().map(|(_, queue)| queue.depth).max().unwrap_or(1);
             prop_assert!(ring.lock().scans.len() <= depth);
             for (cursor, _) in &readers {
-                let newest = cursor.latest().map(|scan| scan.values()[0]);
+                let newest = cursor.latest().and_then(|scan| scan.raw_values().next());
                 prop_assert_eq!(newest, latest);
                 let (received_at, error) = cursor.freshness();
                 prop_assert_eq!(received_at.is_some(), latest.is_some());

@@ -1,6 +1,5 @@
 //! [`ScanBuilder`]: scans from any values, for tests and for sources other than a sensor.
 
-use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use tokio::time::Instant;
@@ -10,7 +9,7 @@ use crate::Error;
 use crate::protocol::{Geometry, Window};
 
 /// Largest 12-bit value.
-const MAX_VALUE: u32 = 4095;
+const MAX_VALUE: u16 = 4095;
 /// Revolution at 600 rpm.
 const REVOLUTION: Duration = Duration::from_millis(100);
 
@@ -31,7 +30,7 @@ impl Scan {
     /// assert_eq!(nearest(&scan), Some(0.9));
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
-    pub fn builder(window: Window, values: impl Into<Arc<[u32]>>) -> ScanBuilder {
+    pub fn builder(window: Window, values: impl Into<Vec<u32>>) -> ScanBuilder {
         ScanBuilder::new(window, values.into())
     }
 }
@@ -44,12 +43,12 @@ impl Scan {
 #[must_use = "a builder does nothing until it builds a scan"]
 pub struct ScanBuilder {
     window: Window,
-    values: Arc<[u32]>,
+    values: Vec<u32>,
     meta: ScanMeta,
 }
 
 impl ScanBuilder {
-    fn new(window: Window, values: Arc<[u32]>) -> Self {
+    fn new(window: Window, values: Vec<u32>) -> Self {
         let now = Instant::now();
         let meta = ScanMeta {
             sequence: 0,
@@ -114,11 +113,12 @@ impl ScanBuilder {
         if expected != found {
             return Err(ScanError::Length { window: self.window, expected, found });
         }
-        if let Some(index) = self.values.iter().position(|&value| value > MAX_VALUE) {
-            let found = self.values.get(index).copied().unwrap_or_default();
-            return Err(ScanError::Value { index, found });
-        }
-        Ok(Scan::new(self.window, self.values, 0, self.meta))
+        let fitting = |(index, found): (usize, u32)| match u16::try_from(found) {
+            Ok(value) if value <= MAX_VALUE => Ok(value),
+            _ => Err(ScanError::Value { index, found }),
+        };
+        let values: Result<_, _> = self.values.into_iter().enumerate().map(fitting).collect();
+        Ok(Scan::new(self.window, values?, 0, self.meta))
     }
 }
 

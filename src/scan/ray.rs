@@ -118,9 +118,11 @@ mod tests {
         let scan = scan_of(Window::DETECTION, (0..682).map(value));
         let rays: Vec<Ray> = scan.rays().collect();
         assert_eq!(scan.rays().len(), 682);
-        for (n, (ray, angle)) in rays.iter().zip(scan.angles()).enumerate() {
+        for (n, ((ray, angle), value)) in
+            rays.iter().zip(scan.angles()).zip(scan.raw_values()).enumerate()
+        {
             assert_eq!((ray.step.number(), ray.angle), (44 + n as u16, angle));
-            assert_eq!(ray.measurement.value(), scan.values()[n]);
+            assert_eq!(ray.measurement.value(), value);
             assert!((ray.angle - scan.geometry().degrees(ray.step).to_radians()).abs() < 1e-6);
         }
         let with_point: Vec<&Ray> = rays.iter().filter(|ray| ray.point().is_some()).collect();

@@ -64,11 +64,11 @@ pub(crate) fn truthful() -> EmulatorBuilder {
 pub(crate) fn request_of(scan: &Scan) -> Option<u64> {
     let start = usize::from(scan.window().start().number());
     let mut digits = [0; 3];
-    for (step, &value) in (start..).zip(scan.values()).take(3) {
+    for (step, value) in (start..).zip(scan.raw_values()).take(3) {
         digits[step % 3] = u64::from(value.checked_sub(20)?);
     }
     let request = digits[0] + digits[1] * 4000 + digits[2] * 16_000_000;
-    let whole = (start..).zip(scan.values()).all(|(step, &value)| value == code(request, step));
+    let whole = (start..).zip(scan.raw_values()).all(|(step, value)| value == code(request, step));
     whole.then_some(request)
 }
 
@@ -95,7 +95,7 @@ impl Truth {
 
     /// Checks one scan of a stream, and returns the number of its request.
     pub(crate) fn check(&mut self, scan: &Scan) -> Result<u64, String> {
-        let request = request_of(scan).ok_or_else(|| format!("mixed data: {:?}", scan.values()))?;
+        let request = request_of(scan).ok_or_else(|| format!("mixed data: {scan:?}"))?;
         let arrived =
             self.arrivals.get(&request).ok_or(format!("{request} was never requested"))?;
         let (sent, received) = (scan.requested_at(), scan.received_at());

@@ -78,8 +78,8 @@ impl ModelSensor {
             let cluster = window.cluster_count().into();
             let steps = (u32::from(window.start().number())..).step_by(cluster);
             (scan.requested_at()..=scan.received_at()).contains(&measured)
-                && scan.values().len() == window.points()
-                && scan.values().iter().zip(steps).all(|(seen, step)| *seen == value(number, step))
+                && scan.len() == window.points()
+                && scan.raw_values().zip(steps).all(|(seen, step)| seen == value(number, step))
         };
         if (0..self.measured.len()).rev().any(is_of) {
             return Ok(());

@@ -128,8 +128,7 @@ async fn flip(at: usize, bit: u8) -> Option<usize> {
     assert!(request_of(&next[1]).is_some(), "the scan after the damaged one is wrong, too");
     // The damaged reply answers the first scan, or it was refused.
     let sent_value = |step: usize| 20 + [sent, 0, 0][(300 + step) % 3] as u32;
-    let wrong =
-        next[0].values().iter().enumerate().filter(|&(step, &v)| v != sent_value(step)).count();
+    let wrong = next[0].raw_values().enumerate().filter(|&(step, v)| v != sent_value(step)).count();
     (request_of(&next[0]).is_none_or(|request| request == sent)).then_some(wrong)
 }
 
@@ -177,7 +176,7 @@ async fn w13_a_j_that_becomes_a_line_feed_at_each_place() {
         emulator.set_faults(Faults::none().at(0, Fault::Flip(at, b'J' ^ b'\n')));
         let error = loop {
             match stream.next().await.unwrap() {
-                Ok(scan) => assert!(scan.values().iter().all(|&v| v == 26 * 64 + 26), "at {at}"),
+                Ok(scan) => assert!(scan.raw_values().all(|v| v == 26 * 64 + 26), "at {at}"),
                 Err(error) => break error,
             }
         };
@@ -232,7 +231,7 @@ async fn w09_a_lost_and_an_added_byte_shift_points() {
     let faults = faults.at(0, Fault::Drop(20..21)).at(0, Fault::Insert(40, vec![b'0']));
     emulator.set_faults(faults);
     let next = scans(&mut stream, 2).await;
-    let shifted = next[0].values();
+    let shifted: Vec<u32> = next[0].raw_values().collect();
     assert_eq!(shifted.len(), 682);
     assert!(request_of(&next[0]).is_none());
     // The first point is surplus; ten and a half points lie between the two places.

@@ -111,7 +111,7 @@ impl Rig {
         let before = self.shared.lock().unwrap().reads;
         let scan = self.stream.next().await.unwrap()?;
         let shared = self.shared.lock().unwrap();
-        assert_eq!(scan.values().len(), 682);
+        assert_eq!(scan.len(), 682);
         Ok((shared.reads - before, scan.received_at() - shared.end))
     }
 

@@ -88,7 +88,7 @@ impl User {
                 let window = windows(parameter);
                 match sensor.scan(window).await {
                     Ok(scan) => {
-                        assert_eq!(scan.values().len(), window.points());
+                        assert_eq!(scan.len(), window.points());
                         self.peer.lock().check(&scan);
                     }
                     Err(error) => assert!(!matches!(error.kind(), ErrorKind::Closed)),
@@ -129,7 +129,7 @@ impl User {
         let Ok(item) = timeout(Duration::from_millis(200), stream.next()).await else { return };
         let Ok(scan) = item.expect("the stream ended") else { return };
         let request = self.peer.lock().check(&scan);
-        assert_eq!(scan.values().len(), stream.window().points());
+        assert_eq!(scan.len(), stream.window().points());
         if let Some(last) = self.last.replace(scan.clone()) {
             assert!(last.sequence() < scan.sequence() && last.received_at() <= scan.requested_at());
             assert!(self.peer.lock().check(&last) < request);

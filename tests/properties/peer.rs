@@ -227,12 +227,13 @@ impl PeerState {
     /// Returns the `G` that the scan answers. Panics if that is not its own.
     pub(crate) fn check(&self, scan: &Scan) -> u64 {
         let first = u64::from(scan.window().start().number());
-        let digits = (first..).zip(scan.values()).take(3);
-        let request = digits.fold(0, |sum, (step, &value)| {
+        let digits = (first..).zip(scan.raw_values()).take(3);
+        let request = digits.fold(0, |sum, (step, value)| {
             sum + u64::from(value - 20) * 4000_u64.pow((step % 3) as u32)
         });
-        let whole = (first..).zip(scan.values()).all(|(step, &value)| value == code(request, step));
-        assert!(whole, "mixed data: {:?}", scan.values());
+        let whole =
+            (first..).zip(scan.raw_values()).all(|(step, value)| value == code(request, step));
+        assert!(whole, "mixed data: {scan:?}");
         let arrived = self.scans[request as usize];
         assert!(
             scan.requested_at() <= arrived && arrived <= scan.received_at(),

@@ -10,7 +10,7 @@ use super::script::Script;
 
 /// Returns status and values of a reply (C-42-3320-A p. 3 to 6), or `None` if it is
 /// invalid.
-fn reference(command: &Command, frame: &[u8]) -> Option<(u8, Vec<u32>)> {
+fn reference(command: &Command, frame: &[u8]) -> Option<(u8, Vec<u16>)> {
     let lines: Vec<&[u8]> = frame.split(|&byte| byte == b'\n').collect();
     let [echo, status, data @ ..] = &lines[..] else { return None };
     let &&[status @ b'!'..=b'~'] = status else { return None };
@@ -31,12 +31,12 @@ fn reference(command: &Command, frame: &[u8]) -> Option<(u8, Vec<u32>)> {
     Some((status, values))
 }
 
-fn values(lines: &[&[u8]], points: usize) -> Option<Vec<u32>> {
+fn values(lines: &[&[u8]], points: usize) -> Option<Vec<u16>> {
     let (last, full) = lines.split_last()?;
     let shape = full.iter().all(|line| line.len() == 64) && (1..=64).contains(&last.len());
     let data = lines.concat();
     let alphabet = data.iter().all(|byte| (b'0'..=b'o').contains(byte));
-    let sextet = |byte: u8| u32::from(byte - b'0');
+    let sextet = |byte: u8| u16::from(byte - b'0');
     (shape && alphabet && data.len() == 2 * points)
         .then(|| data.chunks(2).map(|pair| sextet(pair[0]) << 6 | sextet(pair[1])).collect())
 }
@@ -147,7 +147,7 @@ fn compare(
     command: &Command,
     frame: &[u8],
     found: Result<Reply, tokio_scip::protocol::ReplyError>,
-    expected: Option<(u8, Vec<u32>)>,
+    expected: Option<(u8, Vec<u16>)>,
 ) {
     let found = match found {
         Ok(reply) => Some((char::from(reply.status()) as u8, reply.values().to_vec())),

@@ -30,9 +30,9 @@ fn noise() -> impl Strategy<Value = Vec<u8>> {
     prop::collection::vec(byte, 0..200)
 }
 
-fn scan() -> impl Strategy<Value = (Window, Vec<u32>)> {
+fn scan() -> impl Strategy<Value = (Window, Vec<u16>)> {
     windows()
-        .prop_flat_map(|window| (Just(window), prop::collection::vec(0..4096_u32, window.points())))
+        .prop_flat_map(|window| (Just(window), prop::collection::vec(0..4096_u16, window.points())))
 }
 
 fn echo(window: Window) -> String {

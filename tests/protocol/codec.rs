@@ -104,7 +104,7 @@ fn a15_half_a_reply_is_dropped_without_error() {
 }
 
 /// Returns a window of 33 points, its reply and its values.
-fn scan() -> (Window, &'static [u8], Vec<u32>) {
+fn scan() -> (Window, &'static [u8], Vec<u16>) {
     let reply = b"G00003201\n0\n\
         0123456789:;<=>?@ABCDEFGHIJKLMNOPQRSTUVWXYZ[\\]^_`abcdefghijklmno\n01\n\n";
     let values = (0..64).step_by(2).map(|n| n * 64 + n + 1).chain([1]).collect();

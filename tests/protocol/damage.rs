@@ -6,7 +6,7 @@ use tokio_scip::protocol::{Command, Reply, ReplyError, Window};
 use super::encoder::{frame, frames, indoors, reply, spread};
 
 /// Windows whose data is less than a line, exactly one, two lines, and as services use.
-fn cases() -> Vec<(Command, Vec<u32>, Vec<u8>)> {
+fn cases() -> Vec<(Command, Vec<u16>, Vec<u8>)> {
     [(384, 384), (0, 30), (0, 31), (0, 32), (44, 725), (0, 768)]
         .into_iter()
         .map(|(start, end)| {
@@ -19,7 +19,7 @@ fn cases() -> Vec<(Command, Vec<u32>, Vec<u8>)> {
 }
 
 /// Returns the scans found by a reader that cuts `bytes` at every double LF.
-fn accepted(command: &Command, bytes: &[u8]) -> Vec<Vec<u32>> {
+fn accepted(command: &Command, bytes: &[u8]) -> Vec<Vec<u16>> {
     frames(bytes)
         .into_iter()
         .filter_map(|frame| Reply::parse(command, frame).ok())
@@ -150,7 +150,7 @@ fn w04_a_flipped_status_is_malformed_in_both_directions() {
 }
 
 /// Flips every bit of a frame once. Returns how many flips are accepted, and of how many.
-fn accepted_flips(window: Window, values: &[u32]) -> (usize, usize) {
+fn accepted_flips(window: Window, values: &[u16]) -> (usize, usize) {
     let echo = format!("G{:03}{:03}01", window.start(), window.end());
     let command = Command::Distances(window);
     let mut frame = frame(&echo, values);

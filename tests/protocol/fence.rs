@@ -38,10 +38,10 @@ fn w15_a_fence_is_found_after_any_truncated_reply() {
 #[test]
 fn no_whole_reply_of_another_command_ends_in_a_fence() {
     // Its data contains the bytes of a fence wherever possible.
-    let spelled = |step: u16, points: usize| -> Vec<u32> {
+    let spelled = |step: u16, points: usize| -> Vec<u16> {
         let echo = format!("G{step:03}{step:03}01");
         let text: Vec<u8> = echo.bytes().chain(*b"0CD").cycle().take(points * 2).collect();
-        text.chunks(2).map(|pair| u32::from(pair[0] - 48) * 64 + u32::from(pair[1] - 48)).collect()
+        text.chunks(2).map(|pair| u16::from(pair[0] - 48) * 64 + u16::from(pair[1] - 48)).collect()
     };
     for step in 0..=768 {
         let (command, _, _) = fence(step);

@@ -10,7 +10,7 @@ fn window(start: u16, end: u16, cluster_count: u8) -> Window {
     Window::new(start..=end).unwrap().with_cluster_count(cluster_count).unwrap()
 }
 
-fn values(reply: &Reply) -> Vec<u32> {
+fn values(reply: &Reply) -> Vec<u16> {
     reply.values().to_vec()
 }
 
@@ -58,7 +58,7 @@ fn a_reply_to_another_command_than_g_has_no_values() {
 #[test]
 fn every_value_of_twelve_bits_is_decoded() {
     for first in (0..4096).step_by(512) {
-        let sent: Vec<u32> = (first..first + 512).collect();
+        let sent: Vec<u16> = (first..first + 512).collect();
         let frame = frame("G00051101", &sent);
         assert_eq!(
             values(&Reply::parse(&Command::Distances(window(0, 511, 1)), &frame).unwrap()),

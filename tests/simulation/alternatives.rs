@@ -54,7 +54,7 @@ impl FramedClient {
             let Frame::Reply(frame) = frame.unwrap().unwrap() else { return None };
             match Reply::parse(&command, &frame) {
                 Ok(reply) if reply.status().is_ok() => {
-                    return Some(reply.values().to_vec());
+                    return Some(reply.values().iter().map(|value| u32::from(*value)).collect());
                 }
                 // A reply to another command.
                 Err(ReplyError::Foreign { .. }) => {}
@@ -102,7 +102,7 @@ pub(crate) async fn poll(
         match client.exchange(Command::Distances(window), G_TIMEOUT).await {
             Some(values) => {
                 let received = Instant::now();
-                loss.add(&truth, &Timed { window, values: &values, sent, received });
+                loss.add(&truth, &Timed { window, values, sent, received });
             }
             None => client.apply(remedy).await,
         }

@@ -29,7 +29,7 @@ impl Loss {
     }
 
     /// Compares a scan with the truth and counts it.
-    pub(crate) fn add(&mut self, truth: &SimulationTruth, scan: &Timed<'_>) {
+    pub(crate) fn add(&mut self, truth: &SimulationTruth, scan: &Timed) {
         match truth.check(scan, 1) {
             Ok((_, flips)) => {
                 self.right += 1;

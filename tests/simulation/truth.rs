@@ -22,17 +22,17 @@ fn value(request: u64, step: usize) -> u32 {
 }
 
 /// A scan with the time of its request and of its reply.
-pub(crate) struct Timed<'a> {
+pub(crate) struct Timed {
     pub(crate) window: Window,
-    pub(crate) values: &'a [u32],
+    pub(crate) values: Vec<u32>,
     pub(crate) sent: Instant,
     pub(crate) received: Instant,
 }
 
-impl<'a> From<&'a Scan> for Timed<'a> {
-    fn from(scan: &'a Scan) -> Self {
+impl From<&Scan> for Timed {
+    fn from(scan: &Scan) -> Self {
         let (sent, received) = (scan.requested_at(), scan.received_at());
-        Self { window: scan.window(), values: scan.values(), sent, received }
+        Self { window: scan.window(), values: scan.raw_values().collect(), sent, received }
     }
 }
 
@@ -52,8 +52,8 @@ impl SimulationTruth {
     /// Returns the `G` that the scan answers, and how many of its values are damaged.
     /// Fails unless that is the `G` of its own request and at most `flips` values are
     /// damaged: no driver can detect a bit that makes another value.
-    pub(crate) fn check(&self, scan: &Timed<'_>, flips: usize) -> Result<(u64, usize), String> {
-        let &Timed { window, values, sent, received } = scan;
+    pub(crate) fn check(&self, scan: &Timed, flips: usize) -> Result<(u64, usize), String> {
+        let &Timed { window, ref values, sent, received } = scan;
         let cluster = usize::from(window.cluster_count());
         if values.len() != window.points() {
             return Err(format!("{} values for {window}", values.len()));

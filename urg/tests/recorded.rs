@@ -41,7 +41,7 @@ async fn recorded(mut recorder: Recorder, mut scans: ScanStream, count: usize) -
     while all.len() < count {
         let item = scans.next().await.unwrap();
         recorder.record(&item).unwrap();
-        all.push(item.unwrap().values().iter().map(|&value| value.into()).collect());
+        all.push(item.unwrap().raw_values().map(u64::from).collect());
     }
     assert_eq!(recorder.progress().lost, 0);
     recorder.finish().await.unwrap();

@@ -92,7 +92,7 @@ pub(crate) fn the_index_leads_to_the_same_part(script: &[u8]) {
     let searched = read(Recording::open(&path), Some(&range), most);
     let scans = Recording::open(&path).map(|recording| recording.range(range.clone()).scans());
     for scan in scans.into_iter().flatten().flatten() {
-        assert_eq!(scan.values().len(), scan.window().points());
+        assert_eq!(scan.len(), scan.window().points());
     }
     let all = read(Recording::open(&path), None, most);
     std::fs::remove_file(path).unwrap();

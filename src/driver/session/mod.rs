@@ -26,7 +26,7 @@ use crate::state::VersionReply;
 /// Values of a window.
 #[derive(Debug)]
 pub(crate) struct Acquired {
-    pub(crate) values: Arc<[u32]>,
+    pub(crate) values: Arc<[u16]>,
     /// Index of the window's first value. The protocol may have asked for extra values before or
     /// after the window.
     pub(crate) first: usize,

@@ -14,7 +14,7 @@ pub(crate) fn seen_through(scan: &Scan, window: Window) -> Scan {
     let first = usize::from(recorded.start().number());
     let seen = steps.get_mut(first..first + recorded.steps()).unwrap_or_default();
     let clusters = seen.chunks_mut(recorded.cluster_count().into());
-    clusters.zip(scan.values()).for_each(|(cluster, value)| cluster.fill(*value));
+    clusters.zip(scan.raw_values()).for_each(|(cluster, value)| cluster.fill(value));
     let first = usize::from(window.start().number());
     let seen = steps.get(first..first + window.steps()).unwrap_or_default();
     let clusters = seen.chunks(window.cluster_count().into());
@@ -34,7 +34,7 @@ mod tests {
             |from, to, count| Window::new(from..=to).unwrap().with_cluster_count(count).unwrap();
         let scan = Scan::builder(window(100, 105, 2), vec![30, 40, 50]).sequence(7);
         let scan = scan.build().unwrap();
-        let seen = |window| seen_through(&scan, window).values().to_vec();
+        let seen = |window| seen_through(&scan, window).raw_values().collect::<Vec<_>>();
         assert_eq!(seen(window(100, 105, 2)), [30, 40, 50]);
         assert_eq!(seen(window(101, 104, 1)), [30, 40, 40, 50]);
         assert_eq!(seen(window(98, 101, 1)), [19, 19, 30, 30]);
