@@ -24,7 +24,11 @@ pub(super) struct Served {
 impl Served {
     pub(super) fn start(arguments: &str) -> Self {
         let mut running = Running::start(&format!("serve {arguments} --listen 0"));
-        let notice = running.notice();
+        let mut notice = running.notice();
+        // On a busy machine a recording is not read at once, which the program says first.
+        while notice.starts_with("urg: reading ") {
+            notice = running.notice();
+        }
         Self::announced(running, &notice)
     }
 
