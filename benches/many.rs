@@ -107,7 +107,7 @@ async fn sensor(kind: String) -> Sensor {
 /// Records the lateness of each poll. The first one was due just after `start`.
 async fn consume(mut stream: ScanStream, start: Instant, lateness: BenchLateness) {
     while let Some(scan) = stream.next().await {
-        let since = scan.unwrap().requested_at() - start;
+        let since = scan.unwrap().times().requested_at - start;
         let late = Duration::from_nanos((since.as_nanos() % PERIOD.as_nanos()) as u64);
         if let Some(lateness) = &mut *lateness.lock().unwrap() {
             lateness.push(late);

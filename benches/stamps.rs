@@ -1,4 +1,4 @@
-//! How far `Scan::first_ray_at` and the arrival of each scan are from the truth: the moment at
+//! How far `ScanTimes::first_ray_at` and the arrival of each scan are from the truth: the moment at
 //! which the emulated motor ended the revolution, not when the emulated sensor wrote its reply.
 //! `-- busy [PROCESSES]` measures in real time, beside this number of processes that only compute.
 
@@ -63,9 +63,11 @@ struct StampRow {
 impl StampRow {
     fn add(&mut self, emulator: &Emulator, scan: &Scan) {
         let sent = emulator.sent_scans();
-        let truth = sent.iter().find(|sent| sent.requested_at >= scan.requested_at()).unwrap();
+        let truth =
+            sent.iter().find(|sent| sent.requested_at >= scan.times().requested_at).unwrap();
         let turned = scan.scan_time().mul_f64(TURNED);
-        let (end, late) = (scan.first_ray_at() + turned, scan.lateness().unwrap_or_default());
+        let (end, late) =
+            (scan.times().first_ray_at + turned, scan.times().lateness.unwrap_or_default());
         let arrived = end + late;
         let error = |at: Instant| match at >= truth.revolution_end {
             true => at - truth.revolution_end,
@@ -74,7 +76,7 @@ impl StampRow {
         self.stamps.push(error(end));
         self.arrivals.push(error(arrived));
         self.later += usize::from(end > arrived);
-        self.by_motor += usize::from(scan.stamp_quality() == StampQuality::Motor);
+        self.by_motor += usize::from(scan.times().quality == StampQuality::Motor);
         self.worse += usize::from(error(end) > error(arrived) + Duration::from_micros(500));
         self.most_worse = self.most_worse.max(self.worse);
     }

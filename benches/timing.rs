@@ -58,7 +58,7 @@ async fn lateness_of_polls() -> Vec<Duration> {
     let mut samples = Vec::new();
     while samples.len() < SAMPLES {
         let scan = stream.next().await.unwrap().unwrap();
-        let since = scan.requested_at() - start;
+        let since = scan.times().requested_at - start;
         samples.push(Duration::from_nanos((since.as_nanos() % PERIOD.as_nanos()) as u64));
     }
     samples

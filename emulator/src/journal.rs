@@ -41,7 +41,7 @@ pub struct Received {
 #[non_exhaustive]
 pub struct SentScan {
     /// When the terminator of its `G` had arrived. Lies between
-    /// [`Scan::requested_at`](tokio_scip::Scan::requested_at) and
+    /// [`requested_at`](tokio_scip::scan::ScanTimes::requested_at) and
     /// [`Scan::received_at`](tokio_scip::Scan::received_at).
     pub requested_at: Instant,
     /// End of the revolution that measured its distances.

@@ -55,7 +55,7 @@
 //!
 //! All messages are CDR with their definitions, of types that every ROS 2 has. The log time runs
 //! steadily from the wall clock at the beginning of the recording. The publish time is the wall
-//! clock when a reply's first byte arrived ([`Scan::stamp`](tokio_scip::Scan::stamp)). The header
+//! clock when a reply's first byte arrived ([`stamp`](tokio_scip::scan::ScanTimes::stamp)). The header
 //! of a scan has the time of its [first ray](tokio_scip::Scan::first_ray_stamp). The metadata
 //! `tokio_scip` identifies the sensor. Nothing in a file is ever changed, so you can read it
 //! wherever it was cut off. After 65,000 chunks, or earlier on request, a recording continues in a

@@ -146,7 +146,7 @@ impl Recorder {
     /// but the stream continues.
     pub fn record(&mut self, item: &Result<Scan, Error>) -> Result<(), RecordingError> {
         let times = match item {
-            Ok(scan) => Times { steady: scan.received_at().into_std(), wall: scan.stamp() },
+            Ok(scan) => Times { steady: scan.received_at().into_std(), wall: scan.times().stamp },
             Err(_) => {
                 let steady = Instant::now().into_std();
                 Times { steady, wall: SystemTime::now() }

@@ -38,7 +38,7 @@ impl Recording {
     /// - `received_at` is the time of this call for the first scan; the others follow at
     ///   their recorded intervals. `requested_at` is the same, because recordings do not
     ///   contain the time of the request.
-    /// - `stamp_quality` is always [`Arrival`](tokio_scip::scan::StampQuality::Arrival), and
+    /// - `quality` is always [`Arrival`](tokio_scip::scan::StampQuality::Arrival), and
     ///   `scan_time` the nominal one: replies are recorded with their arrivals. The time by
     ///   the motor is in the header stamp of the recorded `LaserScan` message.
     /// - `reconnects` is 0: a gap shows in the stamps.

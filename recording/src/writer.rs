@@ -112,11 +112,11 @@ impl Writer {
     }
 
     pub(super) fn scan(&mut self, scan: &Scan) -> io::Result<()> {
-        let times = Times { steady: scan.received_at().into_std(), wall: scan.stamp() };
+        let times = Times { steady: scan.received_at().into_std(), wall: scan.times().stamp };
         ros::write_scan(&mut self.message, scan, scan.first_ray_stamp(), &self.frame_id);
         // The field has 32 bits. A gap is still a gap.
         self.write(Topic::Scans, scan.sequence() as u32, times)?;
-        self.part.after_scan = self.part.reply.is_none_or(|reply| reply <= scan.stamp());
+        self.part.after_scan = self.part.reply.is_none_or(|reply| reply <= scan.times().stamp);
         Ok(())
     }
 

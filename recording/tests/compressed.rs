@@ -148,7 +148,7 @@ async fn a_compressed_recording_is_used_as_the_original() {
         assert!(cut_out == expected_part);
 
         let replayed = replayed(open(), Window::DETECTION).await;
-        let told = |scan: &Scan| (scan.raw_values().collect::<Vec<_>>(), scan.stamp());
+        let told = |scan: &Scan| (scan.raw_values().collect::<Vec<_>>(), scan.times().stamp);
         assert!(replayed.iter().map(told).eq(scans.iter().map(told)));
     }
 }

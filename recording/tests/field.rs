@@ -117,7 +117,7 @@ async fn a_part_keeps_its_times() {
     let open = |file: &[u8]| Recording::read(std::io::Cursor::new(file.to_vec())).unwrap();
     let scans = |recording: Recording| -> Vec<_> {
         let scans = recording.scans().map(Result::unwrap);
-        scans.map(|scan| (scan.raw_values().collect::<Vec<_>>(), scan.stamp())).collect()
+        scans.map(|scan| (scan.raw_values().collect::<Vec<_>>(), scan.times().stamp)).collect()
     };
     assert_eq!(scans(open(&part)), scans(sink.open().range(range)));
     assert_eq!(open(&part).metadata(), sink.open().metadata());

@@ -93,7 +93,7 @@ async fn a_recording_is_read_as_the_driver_delivered_it() {
     let replies = polls(&records);
     for (item, reply) in items.iter().zip(&replies) {
         let scan = item.as_ref().unwrap();
-        assert_eq!(reply.stamp, scan.stamp());
+        assert_eq!(reply.stamp, scan.times().stamp);
         let frame = reply.bytes.strip_suffix(b"\n\n").unwrap();
         let command = reply.command.unwrap();
         assert!(frame.starts_with(&command.bytes()));

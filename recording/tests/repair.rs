@@ -123,11 +123,11 @@ async fn a_truncated_file_replays_the_same_scans() {
         let mut stream = sensor.scans(window(300, 340, 1), Rate::UNLIMITED).await.unwrap();
         let mut replayed = Vec::new();
         while let Some(Ok(scan)) = stream.next().await {
-            replayed.push((scan.raw_values().collect::<Vec<_>>(), scan.stamp()));
+            replayed.push((scan.raw_values().collect::<Vec<_>>(), scan.times().stamp));
         }
         let scans: Vec<_> = scans
             .iter()
-            .map(|scan| (scan.raw_values().collect::<Vec<_>>(), scan.stamp()))
+            .map(|scan| (scan.raw_values().collect::<Vec<_>>(), scan.times().stamp))
             .collect();
         assert_eq!(scans, replayed, "{length} bytes");
     }

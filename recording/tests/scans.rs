@@ -18,7 +18,7 @@ use super::sink::{Sink, next, record, replayed, sensor, values, window};
 /// Stands for a function that is written for live scans.
 fn summary(scan: &Scan) -> (Window, Vec<u32>, std::time::SystemTime, u64, Duration, bool) {
     let values = scan.raw_values().collect::<Vec<_>>();
-    (scan.window(), values, scan.stamp(), scan.sequence(), scan.scan_time(), scan.is_repeat())
+    (scan.window(), values, scan.times().stamp, scan.sequence(), scan.scan_time(), scan.is_repeat())
 }
 
 #[tokio::test(start_paused = true)]

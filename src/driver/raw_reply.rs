@@ -22,6 +22,6 @@ pub struct RawReply<'a> {
     /// within microseconds.
     pub received_at: Instant,
     /// Wall clock when the first byte arrived, the same as
-    /// [`Scan::stamp`](crate::Scan::stamp).
+    /// [`stamp`](crate::scan::ScanTimes::stamp) of its scan.
     pub stamp: SystemTime,
 }

@@ -27,7 +27,7 @@ impl RayOrder {
     pub(crate) fn arrange(&mut self, scan: &mut Scan) {
         let (revolution, mut first_ray) = (scan.scan_time(), scan.first_ray_at());
         if let Some((requested, earliest)) = self.latest {
-            let since = scan.requested_at().saturating_duration_since(requested);
+            let since = scan.meta.requested_at.saturating_duration_since(requested);
             let ahead = self.ahead + revolution / 10 * SHORTEST_REVOLUTION;
             self.ahead = ahead.saturating_sub(since).min(3 * revolution);
             if self.ahead <= 2 * revolution && first_ray < earliest {
@@ -38,6 +38,6 @@ impl RayOrder {
         let window = scan.window();
         let swept = window.points() as u32 * u32::from(window.cluster_count());
         let swept = revolution * swept / u32::from(scan.geometry().steps_per_revolution());
-        self.latest = Some((scan.requested_at(), first_ray + swept));
+        self.latest = Some((scan.meta.requested_at, first_ray + swept));
     }
 }

@@ -134,7 +134,7 @@ impl Schedules {
     ) -> Ended {
         let Some(schedule) = self.find(poll.window, poll.rate) else { return Ended::default() };
         schedule.condition = None;
-        let latency = scan.received_at().saturating_duration_since(scan.requested_at());
+        let latency = scan.received_at().saturating_duration_since(scan.meta.requested_at);
         schedule.speed.count_scan(latency, scan.scan_time());
         let (repeats, missed) = schedule.ring.push(scan);
         let newly_missed = missed - std::mem::replace(&mut schedule.missed, missed);

@@ -83,7 +83,7 @@ pub trait PortHints {
         false
     }
 
-    /// Wall clock for [`Scan::stamp`](crate::Scan::stamp). A port that replays a recording returns
+    /// Wall clock for the [`stamp`](crate::scan::ScanTimes::stamp) of a scan. A port that replays a recording returns
     /// when the bytes that you read now were recorded. Default: `None`, the bytes arrive now.
     ///
     /// A wrong clock makes wrong stamps. Replayed bytes tell nothing about the sensor's motor, so

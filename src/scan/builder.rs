@@ -72,14 +72,14 @@ impl ScanBuilder {
         self
     }
 
-    /// Sets [`Scan::received_at`], and [`Scan::requested_at`] to the same time.
+    /// Sets [`Scan::received_at`], and the times of the request and of the first byte to the same.
     pub fn received_at(mut self, received_at: Instant) -> Self {
         let [requested_at, first_byte_at] = [received_at; 2];
         self.meta = ScanMeta { requested_at, first_byte_at, received_at, ..self.meta };
         self
     }
 
-    /// Sets [`Scan::stamp`].
+    /// Sets the [`stamp`](super::ScanTimes::stamp).
     pub fn stamp(mut self, stamp: SystemTime) -> Self {
         self.meta.stamp = stamp;
         self

@@ -16,12 +16,13 @@ impl Serialize for Scan {
             let since = stamp.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
             since.as_micros() as f64 / 1e6
         };
-        let lateness = self.lateness().map(|lateness| lateness.as_secs_f64());
+        let times = self.times();
+        let lateness = times.lateness.map(|lateness| lateness.as_secs_f64());
         let mut scan = serializer.serialize_struct("Scan", 15)?;
         scan.serialize_field("sequence", &self.sequence())?;
-        scan.serialize_field("stamp", &since_1970(self.stamp()))?;
+        scan.serialize_field("stamp", &since_1970(times.stamp))?;
         scan.serialize_field("first_ray", &since_1970(self.first_ray_stamp()))?;
-        scan.serialize_field("stamp_quality", &self.stamp_quality())?;
+        scan.serialize_field("stamp_quality", &times.quality)?;
         scan.serialize_field("lateness", &lateness)?;
         scan.serialize_field("start", &self.window.start())?;
         scan.serialize_field("end", &self.window.end())?;

@@ -32,4 +32,4 @@ pub use self::ray::Ray;
 #[doc(no_inline)]
 pub use self::scan::Scan;
 pub(crate) use self::scan::ScanMeta;
-pub use self::times::StampQuality;
+pub use self::times::{ScanTimes, StampQuality};

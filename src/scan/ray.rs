@@ -16,7 +16,7 @@ pub struct Ray {
     pub angle: f32,
     /// What was measured.
     pub measurement: Measurement,
-    /// Seconds from the scan's first ray ([`Scan::first_ray_at`]) to this one.
+    /// Seconds from the scan's first ray ([`Scan::first_ray_stamp`]) to this one.
     pub offset: f32,
 }
 
@@ -51,7 +51,7 @@ pub struct Point {
     pub angle: f32,
     /// Step of its ray, or the first step of a cluster.
     pub step: Step,
-    /// Seconds from the scan's first ray ([`Scan::first_ray_at`]) to this point. A robot
+    /// Seconds from the scan's first ray ([`Scan::first_ray_stamp`]) to this point. A robot
     /// at 1 m/s moves 7 cm from the first point to the last: without it your map bends.
     pub offset: f32,
 }

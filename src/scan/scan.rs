@@ -15,9 +15,8 @@ use crate::protocol::{Geometry, Measurement, Window};
 /// times. The frame is the sensor's: x forward, y to the left, angles counter-clockwise from
 /// the front (REP 103).
 ///
-/// `==` compares windows, values, numbers and stamps, but not
-/// [`requested_at`](Self::requested_at) and [`received_at`](Self::received_at), which are
-/// times of this process.
+/// `==` compares windows, values, numbers and stamps, but no [`Instant`], which is a time of this
+/// process.
 ///
 /// The driver makes scans. To test a function that takes a `&Scan`, make one from any values
 /// with [`Scan::builder`].

@@ -4,7 +4,7 @@ use std::time::{Duration, SystemTime};
 
 use tokio::time::Instant;
 
-use super::Scan;
+use super::{Scan, ScanMeta};
 
 /// Basis of the time of a scan's rays.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
@@ -20,36 +20,33 @@ pub enum StampQuality {
     Motor,
 }
 
-impl Scan {
-    /// When the `G` was sent, on tokio's clock, which a test may pause. Never decreases
-    /// from one scan to the next.
-    pub fn requested_at(&self) -> Instant {
-        self.meta.requested_at
-    }
-
-    /// When the last byte was read, on tokio's clock, which a test may pause. Never
-    /// decreases from one scan to the next.
-    pub fn received_at(&self) -> Instant {
-        self.meta.received_at
-    }
-
-    /// Time since [`received_at`](Self::received_at). The measurement itself is older, by
-    /// the time of the reply and by up to a revolution.
-    pub fn age(&self) -> Duration {
-        self.meta.received_at.elapsed()
-    }
-
-    /// Wall clock when the reply's first byte arrived. The sensor sends what it has in
-    /// memory, so the motor's revolution was over by then. The time can jump back when
-    /// someone sets the system's clock.
+/// All times of a [`Scan`] beside its first ray and its arrival: [`Scan::times`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct ScanTimes {
+    /// When the `G` was sent, on tokio's clock, which a test may pause. Never decreases from one
+    /// scan to the next.
+    pub requested_at: Instant,
+    /// The same moment as [`Scan::first_ray_stamp`], on tokio's clock. Use it to compare the scan
+    /// with other events in your service, whatever happens to the wall clock. A replay has the
+    /// times of the replay.
+    pub first_ray_at: Instant,
+    /// Wall clock when the reply's first byte arrived. The sensor sends what it has in memory, so
+    /// the motor's revolution was over by then. The time can jump back when someone sets the
+    /// system's clock.
     ///
-    /// Uses the system's clock even where you pause tokio's. In such a test only
-    /// `requested_at`, `received_at` and `first_ray_at` follow the test's time. A replay
-    /// has the stamps of its recording.
-    pub fn stamp(&self) -> SystemTime {
-        self.meta.stamp
-    }
+    /// Uses the system's clock even where you pause tokio's. In such a test only the fields of type
+    /// `Instant` and [`Scan::received_at`] follow the test's time. A replay has the stamps of its
+    /// recording.
+    pub stamp: SystemTime,
+    /// What `first_ray_at` and [`Scan::first_ray_stamp`] are based on.
+    pub quality: StampQuality,
+    /// How long after the end of the revolution the first byte arrived, or `None` if that is unknown
+    /// ([`StampQuality::Arrival`]). Excludes the delay common to all scans.
+    pub lateness: Option<Duration>,
+}
 
+impl Scan {
     /// Wall clock when the first point was measured. Use it as the time in the header of a
     /// `sensor_msgs/LaserScan`. Point `n` was measured `n * time_increment` later, see
     /// [`Point::offset`](super::Point::offset).
@@ -60,8 +57,8 @@ impl Scan {
     /// `1 - (angle_min + pi) / (2 pi)` of a [`scan_time`](Self::scan_time) before that end: for
     /// [`Window::DETECTION`](crate::Window::DETECTION) 83 ms.
     ///
-    /// The revolution ended its [`lateness`](Self::lateness) before the reply arrived. Check
-    /// [`stamp_quality`](Self::stamp_quality) to see whether the lateness is known.
+    /// The revolution ended its [`lateness`](ScanTimes::lateness) before the reply arrived. Check
+    /// the [`quality`](ScanTimes::quality) to see whether the lateness is known.
     ///
     /// The first point is never before the last one of the scan before on the same link: after a late
     /// scan this one is later, too. Only scans that come faster than the motor turns overlap.
@@ -89,27 +86,27 @@ impl Scan {
         first.checked_add(self.meta.postponed).unwrap_or(first)
     }
 
-    /// Same as [`first_ray_stamp`](Self::first_ray_stamp), but on tokio's monotonic clock.
-    /// Use it to compare the scan with other events in your service, whatever happens to
-    /// the wall clock. A replay has the times of the replay.
-    pub fn first_ray_at(&self) -> Instant {
+    /// When the last byte was read, on tokio's clock, which a test may pause. Never decreases from
+    /// one scan to the next. The measurement is older, by the time of the reply and by up to a
+    /// revolution.
+    pub fn received_at(&self) -> Instant {
+        self.meta.received_at
+    }
+
+    /// All other times, for a recorder or a diagnosis.
+    pub fn times(&self) -> ScanTimes {
+        let ScanMeta { requested_at, stamp, lateness, .. } = self.meta;
+        let quality = match lateness {
+            Some(_) => StampQuality::Motor,
+            None => StampQuality::Arrival,
+        };
+        ScanTimes { requested_at, first_ray_at: self.first_ray_at(), stamp, quality, lateness }
+    }
+
+    pub(crate) fn first_ray_at(&self) -> Instant {
         let arrived = self.meta.first_byte_at;
         let first = arrived.checked_sub(self.since_first_ray()).unwrap_or(arrived);
         first.checked_add(self.meta.postponed).unwrap_or(first)
-    }
-
-    /// What [`first_ray_stamp`](Self::first_ray_stamp) is based on.
-    pub fn stamp_quality(&self) -> StampQuality {
-        match self.meta.lateness {
-            Some(_) => StampQuality::Motor,
-            None => StampQuality::Arrival,
-        }
-    }
-
-    /// How long after the end of the revolution the first byte arrived, or `None` if that
-    /// is unknown ([`StampQuality::Arrival`]). Excludes the delay common to all scans.
-    pub fn lateness(&self) -> Option<Duration> {
-        self.meta.lateness
     }
 
     /// Time from one point to the next: the part of the motor's revolution between them,
@@ -158,7 +155,7 @@ mod tests {
     #[test]
     fn the_first_ray_follows_the_motor() {
         let before = |scan: &Scan| {
-            let before = scan.stamp().duration_since(scan.first_ray_stamp()).unwrap();
+            let before = scan.times().stamp.duration_since(scan.first_ray_stamp()).unwrap();
             (before.as_secs_f64() * 1e5).round() / 100.0
         };
         // Steps from the rear to the first one, of 1,024: 128 to step 0.
@@ -177,13 +174,16 @@ mod tests {
     fn a_late_scan_has_earlier_rays() {
         let mut scan = scan(Window::DETECTION);
         let (stamp, at) = (scan.first_ray_stamp(), scan.first_ray_at());
-        assert_eq!((scan.stamp_quality(), scan.lateness()), (StampQuality::Arrival, None));
+        assert_eq!((scan.times().quality, scan.times().lateness), (StampQuality::Arrival, None));
         let late = Duration::from_micros(1_234);
         scan.meta.lateness = Some(late);
-        assert_eq!((scan.stamp_quality(), scan.lateness()), (StampQuality::Motor, Some(late)));
+        assert_eq!(
+            (scan.times().quality, scan.times().lateness),
+            (StampQuality::Motor, Some(late))
+        );
         assert_eq!((stamp - late, at - late), (scan.first_ray_stamp(), scan.first_ray_at()));
         // Both clocks by the same time.
-        let by_wall = scan.stamp().duration_since(scan.first_ray_stamp()).unwrap();
+        let by_wall = scan.times().stamp.duration_since(scan.first_ray_stamp()).unwrap();
         assert_eq!(by_wall, scan.meta.first_byte_at - scan.first_ray_at());
     }
 
@@ -196,12 +196,5 @@ mod tests {
         assert!((last.offset - 681.0 * scan.time_increment().as_secs_f32()).abs() < 1e-6);
         assert!((last.offset - 681.0 * 0.09976 / 1024.0).abs() < 1e-6);
         assert_eq!(scan.points().next().unwrap().offset, 0.0);
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn the_age_follows_a_paused_clock() {
-        let scan = scan(Window::DETECTION);
-        tokio::time::advance(Duration::from_secs(3)).await;
-        assert_eq!(scan.age(), Duration::from_secs(3));
     }
 }

@@ -59,8 +59,8 @@ impl ScanStream {
     }
 
     /// Newest scan, read or not, or `None` before the first. Reads nothing: [`next`](Self::next)
-    /// still yields a scan that you have not read. The newest scan may be old: check its
-    /// [age](Scan::age), or [`freshness`](Self::freshness).
+    /// still yields a scan that you have not read. The newest scan may be old: check when
+    /// it was [received](Scan::received_at), or [`freshness`](Self::freshness).
     pub fn latest(&self) -> Option<Scan> {
         self.cursor.latest()
     }

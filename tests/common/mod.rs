@@ -98,7 +98,7 @@ impl Truth {
         let request = request_of(scan).ok_or_else(|| format!("mixed data: {scan:?}"))?;
         let arrived =
             self.arrivals.get(&request).ok_or(format!("{request} was never requested"))?;
-        let (sent, received) = (scan.requested_at(), scan.received_at());
+        let (sent, received) = (scan.times().requested_at, scan.received_at());
         if !(sent <= *arrived && *arrived <= received) {
             return Err(format!("the answer to {request} is attached to another request"));
         }

@@ -77,7 +77,7 @@ impl ModelSensor {
             let (window, measured) = (scan.window(), self.measured[number]);
             let cluster = window.cluster_count().into();
             let steps = (u32::from(window.start().number())..).step_by(cluster);
-            (scan.requested_at()..=scan.received_at()).contains(&measured)
+            (scan.times().requested_at..=scan.received_at()).contains(&measured)
                 && scan.len() == window.points()
                 && scan.raw_values().zip(steps).all(|(seen, step)| seen == value(number, step))
         };

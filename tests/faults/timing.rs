@@ -152,7 +152,7 @@ async fn t13_a_premature_reply_is_refused() {
     let emulator = emulator.world(truth.world()).build();
     let (sensor, mut stream) = streaming(&emulator, window, Rate::hz(10.0)).await;
     let mut delivered = scans(&mut stream, 2).await;
-    let took = delivered[1].received_at() - delivered[1].requested_at();
+    let took = delivered[1].received_at() - delivered[1].times().requested_at;
     assert_eq!(sensor.stats().malformed.total(), 0, "an answer without delay is refused");
     for after in 1..=4 {
         // The copy begins `after` ms after the next poll was sent, which takes 5.2 ms on the
@@ -379,7 +379,7 @@ async fn t10_a_booting_sensor_is_awaited() {
         emulator.power_cycle();
         emulator.plug_in();
         let start = Instant::now();
-        while stream.next().await.unwrap().map_or(true, |s| s.requested_at() < start) {}
+        while stream.next().await.unwrap().map_or(true, |s| s.times().requested_at < start) {}
         let limit = boot + Duration::from_secs(5);
         assert!(start.elapsed() < limit, "{speed:?}: {:?}", start.elapsed());
     }

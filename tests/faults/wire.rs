@@ -167,7 +167,7 @@ async fn endless(pattern: &[u8]) -> Duration {
     emulator.set_faults(Faults::none());
     let start = Instant::now();
     loop {
-        if stream.next().await.unwrap().is_ok_and(|scan| scan.requested_at() > start) {
+        if stream.next().await.unwrap().is_ok_and(|scan| scan.times().requested_at > start) {
             break;
         }
     }

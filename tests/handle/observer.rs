@@ -49,7 +49,7 @@ async fn the_observer_receives_valid_malformed_and_foreign_replies_and_fences() 
         ]
     );
     assert_eq!(replies[0].1, "G38438501\n0\nCBB");
-    assert_eq!((replies[2].1.as_str(), replies[2].2), ("G38338501\n0\nCBCBCB", scan.stamp()));
+    assert_eq!((replies[2].1.as_str(), replies[2].2), ("G38338501\n0\nCBCBCB", scan.times().stamp));
 }
 
 #[tokio::test(start_paused = true)]

@@ -26,7 +26,7 @@ async fn scan() -> Scan {
 async fn a_scan_is_one_line_of_ndjson() {
     let scan = scan().await;
     let text = serde_json::to_string(&scan).unwrap();
-    let micros = scan.stamp().duration_since(UNIX_EPOCH).unwrap().as_micros();
+    let micros = scan.times().stamp.duration_since(UNIX_EPOCH).unwrap().as_micros();
     let stamp = micros as f64 / 1e6;
     let first_ray = scan.first_ray_stamp().duration_since(UNIX_EPOCH).unwrap().as_micros();
     let first_ray = first_ray as f64 / 1e6;

@@ -108,7 +108,7 @@ async fn d01_d02_baud_rate_and_laser_are_restored_after_a_reset() {
     let mut errors = Vec::new();
     let scan = loop {
         match stream.next().await.unwrap() {
-            Ok(scan) if scan.requested_at() > start => break scan,
+            Ok(scan) if scan.times().requested_at > start => break scan,
             Ok(_) => {}
             Err(error) => errors.push(error),
         }

@@ -20,11 +20,11 @@ async fn stream(pace: Pace) -> (Sensor, ScanStream) {
 #[tokio::test(start_paused = true)]
 async fn every_poll_is_within_a_millisecond_of_its_place() {
     let (sensor, mut stream) = stream(Pace::AtOnce).await;
-    let start = stream.next().await.unwrap().unwrap().requested_at();
+    let start = stream.next().await.unwrap().unwrap().times().requested_at;
     let mut latest = ms(0);
     for n in 1..=POLLS {
         let scan = stream.next().await.unwrap().unwrap();
-        let late = scan.requested_at() - start - ms(100) * n;
+        let late = scan.times().requested_at - start - ms(100) * n;
         latest = latest.max(late);
         assert!(late <= ms(1), "poll {n} is {late:?} late");
         assert_eq!(scan.sequence(), u64::from(n));

@@ -40,14 +40,14 @@ async fn scans(emulator: EmulatorBuilder, streams: &[(Window, Rate)]) -> Vec<Sca
             all.extend(item.ok());
         }
     }
-    all.sort_by_key(Scan::requested_at);
+    all.sort_by_key(|scan| scan.times().requested_at);
     // Equal streams share their polls.
-    all.dedup_by_key(|scan| scan.requested_at());
+    all.dedup_by_key(|scan| scan.times().requested_at);
     all
 }
 
 fn last_ray_at(scan: &Scan) -> Instant {
-    scan.first_ray_at() + scan.time_increment() * (scan.len() as u32 - 1)
+    scan.times().first_ray_at + scan.time_increment() * (scan.len() as u32 - 1)
 }
 
 /// Returns when the first ray was measured at the latest, if only this reply counts.
@@ -80,12 +80,13 @@ async fn scans_never_overlap() {
         let scans = scans(emulator, &streams).await;
         assert!(scans.len() > 20, "{seed}: {}", scans.len());
         for pair in scans.windows(2) {
-            let overlap = last_ray_at(&pair[0]).saturating_duration_since(pair[1].first_ray_at());
+            let overlap =
+                last_ray_at(&pair[0]).saturating_duration_since(pair[1].times().first_ray_at);
             assert_eq!(overlap, Duration::ZERO, "{seed}: {longest:?} {share} {streams:?}");
         }
         // A scan is no later than the late ones before it make it.
         for scan in &scans {
-            assert!(scan.first_ray_at() <= by_arrival(scan) + longest, "{seed}");
+            assert!(scan.times().first_ray_at <= by_arrival(scan) + longest, "{seed}");
         }
     }
 }
@@ -100,7 +101,7 @@ async fn repeated_revolutions_do_not_delay_stamps() {
         let scans = scans(Emulator::builder().pace(Pace::AtOnce), &streams).await;
         // The driver has seen that they come faster than the motor turns.
         for scan in scans.iter().skip(10) {
-            assert!(scan.first_ray_at() <= by_arrival(scan), "{streams:?}");
+            assert!(scan.times().first_ray_at <= by_arrival(scan), "{streams:?}");
         }
     }
 }

@@ -32,11 +32,11 @@ struct Errors {
 /// Compares a scan with the motor of the sensor that has just sent it.
 fn errors(emulator: &Emulator, scan: &Scan) -> Errors {
     let sent = emulator.sent_scans();
-    let truth = sent.iter().find(|sent| sent.requested_at >= scan.requested_at()).unwrap();
+    let truth = sent.iter().find(|sent| sent.requested_at >= scan.times().requested_at).unwrap();
     // The window begins 172 steps after the rear.
-    let turned = truth.revolution_end.duration_since(scan.first_ray_at()).as_secs_f64();
+    let turned = truth.revolution_end.duration_since(scan.times().first_ray_at).as_secs_f64();
     let stamp = scan.scan_time().as_secs_f64() * (1.0 - 172.0 / 1024.0) - turned;
-    let lateness = scan.lateness().unwrap_or_default().as_secs_f64();
+    let lateness = scan.times().lateness.unwrap_or_default().as_secs_f64();
     Errors { stamp: stamp * 1e3, arrival: (stamp + lateness) * 1e3 }
 }
 
@@ -59,11 +59,11 @@ async fn stamps_rest_on_the_motor_and_its_period_is_measured() {
         let emulator = turning().build();
         let (sensor, mut scans) = stream(&emulator, rate).await;
         let first = scans.next().await.unwrap().unwrap();
-        assert_eq!(first.stamp_quality(), StampQuality::Arrival);
-        assert_eq!((first.lateness(), first.scan_time()), (None, ms(100)));
+        assert_eq!(first.times().quality, StampQuality::Arrival);
+        assert_eq!((first.times().lateness, first.scan_time()), (None, ms(100)));
         assert_eq!(sensor.stats().motor, None);
         next_errors(&emulator, &mut scans, 30).await;
-        assert_eq!(scans.next().await.unwrap().unwrap().stamp_quality(), StampQuality::Motor);
+        assert_eq!(scans.next().await.unwrap().unwrap().times().quality, StampQuality::Motor);
         next_errors(&emulator, &mut scans, 100).await;
         let later = next_errors(&emulator, &mut scans, 200).await;
         assert!(worst(&later, |errors| errors.stamp) < 0.6, "{rate}");
@@ -112,7 +112,7 @@ async fn a_sensor_that_answers_at_once_has_stamps_of_arrival() {
         let (sensor, mut scans) = stream(&emulator, rate).await;
         for _ in 0..400 {
             let scan = scans.next().await.unwrap().unwrap();
-            assert_eq!(scan.stamp_quality(), StampQuality::Arrival);
+            assert_eq!(scan.times().quality, StampQuality::Arrival);
             assert_eq!(scan.scan_time(), ms(100));
         }
         assert_eq!(sensor.stats().motor, None);
@@ -134,7 +134,7 @@ async fn other_ports_have_stamps_of_arrival() {
         };
         for _ in 0..100 {
             let scan = scans.next().await.unwrap().unwrap();
-            assert_eq!(scan.stamp_quality(), StampQuality::Arrival);
+            assert_eq!(scan.times().quality, StampQuality::Arrival);
         }
         assert_eq!(sensor.stats().motor, None);
     }
@@ -155,9 +155,9 @@ async fn a_sensor_that_is_found_again_is_measured_anew() {
             break scan;
         }
     };
-    assert_eq!(scan.stamp_quality(), StampQuality::Arrival);
+    assert_eq!(scan.times().quality, StampQuality::Arrival);
     next_errors(&emulator, &mut scans, 400).await;
-    assert_eq!(scans.next().await.unwrap().unwrap().stamp_quality(), StampQuality::Motor);
+    assert_eq!(scans.next().await.unwrap().unwrap().times().quality, StampQuality::Motor);
 }
 
 /// A wall clock that is set forth and back by an hour, each time after some reads.
@@ -191,7 +191,7 @@ async fn setting_the_clock_gives_no_time_between() {
     for _ in 0..200 {
         let scan = scans.next().await.unwrap().unwrap();
         let by_wall = scan.first_ray_stamp().duration_since(SystemTime::UNIX_EPOCH).unwrap();
-        let set = by_wall - BEGAN - (scan.first_ray_at() - began);
+        let set = by_wall - BEGAN - (scan.times().first_ray_at - began);
         assert!(set == Duration::ZERO || set == HOUR, "{set:?}");
         scans_by[usize::from(set == HOUR)] += 1;
     }

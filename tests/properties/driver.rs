@@ -131,7 +131,10 @@ impl User {
         let request = self.peer.lock().check(&scan);
         assert_eq!(scan.len(), stream.window().points());
         if let Some(last) = self.last.replace(scan.clone()) {
-            assert!(last.sequence() < scan.sequence() && last.received_at() <= scan.requested_at());
+            assert!(
+                last.sequence() < scan.sequence()
+                    && last.received_at() <= scan.times().requested_at
+            );
             assert!(self.peer.lock().check(&last) < request);
         }
     }

@@ -236,7 +236,7 @@ impl PeerState {
         assert!(whole, "mixed data: {scan:?}");
         let arrived = self.scans[request as usize];
         assert!(
-            scan.requested_at() <= arrived && arrived <= scan.received_at(),
+            scan.times().requested_at <= arrived && arrived <= scan.received_at(),
             "the answer to {request} is attached to another request"
         );
         request

@@ -31,7 +31,7 @@ pub(crate) struct Timed {
 
 impl From<&Scan> for Timed {
     fn from(scan: &Scan) -> Self {
-        let (sent, received) = (scan.requested_at(), scan.received_at());
+        let (sent, received) = (scan.times().requested_at, scan.received_at());
         Self { window: scan.window(), values: scan.raw_values().collect(), sent, received }
     }
 }

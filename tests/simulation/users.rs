@@ -82,8 +82,8 @@ fn check(run: &Run, window: Window, scan: &Scan, last: &mut Option<(u64, Scan)>)
     if let Some((before, last)) = last {
         assert!(*before < request, "a scan was delivered twice");
         assert!(last.sequence() < scan.sequence(), "the sequence does not rise");
-        assert!(last.requested_at() < scan.requested_at(), "time runs back");
-        assert!(last.received_at() <= scan.requested_at(), "time runs back");
+        assert!(last.times().requested_at < scan.times().requested_at, "time runs back");
+        assert!(last.received_at() <= scan.times().requested_at, "time runs back");
     }
     *last = Some((request, scan.clone()));
     run.coverage.lock().unwrap().checked += 1;

@@ -418,7 +418,7 @@ impl History {
         for scan in open(file.input(self.is_on_disk))?.scans() {
             match scan {
                 Ok(scan) => {
-                    stamps.extend(file.stream.map(|_| nanos(scan.stamp())));
+                    stamps.extend(file.stream.map(|_| nanos(scan.times().stamp)));
                     read += 1;
                 }
                 Err(RecordingError::Damaged { .. }) => damaged += 1,
@@ -596,13 +596,13 @@ fn each_recorded_scan_is_given_back_once() {
         let told = found.len() as u64 + left_out;
         let is_told = (least..=(replies.len() + scans.len()) as u64).contains(&told);
         assert!(is_told, "seed {seed}: {told} of {least} messages");
-        let stamps: BTreeSet<u64> = found.iter().map(|scan| nanos(scan.stamp())).collect();
+        let stamps: BTreeSet<u64> = found.iter().map(|scan| nanos(scan.times().stamp)).collect();
         let folder = own::folder(1);
         for (number, file) in recording.files.iter().enumerate() {
             std::fs::write(folder.join(format!("bag_{number}.mcap")), file).unwrap();
         }
         let in_folder = Recording::open(&folder).unwrap().scans().map(Result::unwrap);
-        let in_folder: BTreeSet<u64> = in_folder.map(|scan| nanos(scan.stamp())).collect();
+        let in_folder: BTreeSet<u64> = in_folder.map(|scan| nanos(scan.times().stamp)).collect();
         std::fs::remove_dir_all(folder).unwrap();
         if in_folder != stamps {
             wrong.push(format!("seed {seed}: {} scans in a folder", in_folder.len()));

@@ -85,7 +85,7 @@ async fn record(random: &mut Random, seed: u64) -> Own {
             recorder.observe(&sensor);
         }
         let item = scans.next().await.unwrap();
-        delivered.insert(nanos(item.as_ref().unwrap().stamp()));
+        delivered.insert(nanos(item.as_ref().unwrap().times().stamp));
         let item = match random.once_in(4) {
             // The consumer is a scan behind.
             true => late.replace(item),
@@ -96,7 +96,7 @@ async fn record(random: &mut Random, seed: u64) -> Own {
                 continue;
             }
             recorder.record(&item).unwrap();
-            recorded.insert(nanos(item.unwrap().stamp()));
+            recorded.insert(nanos(item.unwrap().times().stamp));
         }
         while let Some(others) = &mut others
             && let Some(item) = futures::FutureExt::now_or_never(others.next())
@@ -107,7 +107,7 @@ async fn record(random: &mut Random, seed: u64) -> Own {
     recorder.finish().await.unwrap();
     // Scans whose replies were recorded.
     while let Some(item) = futures::FutureExt::now_or_never(scans.next()) {
-        delivered.insert(nanos(item.unwrap().unwrap().stamp()));
+        delivered.insert(nanos(item.unwrap().unwrap().times().stamp));
     }
     let files = match is_split {
         true => {

@@ -208,9 +208,9 @@ impl Measured {
 impl Seen {
     fn from_scan(scan: &Scan) -> Self {
         Self {
-            requested_at: scan.requested_at(),
+            requested_at: scan.times().requested_at,
             received_at: scan.received_at(),
-            lateness: scan.lateness(),
+            lateness: scan.times().lateness,
             points: scan.len(),
             distances: scan.points().count(),
         }

@@ -38,7 +38,7 @@ csv-xy adds
 
 pub(crate) fn rows(scan: &Scan, columns: Columns) -> String {
     let since_1970 = |time: SystemTime| time.duration_since(SystemTime::UNIX_EPOCH);
-    let stamp = since_1970(scan.stamp()).unwrap_or_default();
+    let stamp = since_1970(scan.times().stamp).unwrap_or_default();
     let stamp = format!("{}.{:06}", stamp.as_secs(), stamp.subsec_micros());
     let mut time = since_1970(scan.first_ray_stamp()).unwrap_or_default();
     let mut rows = String::with_capacity(scan.len() * 64);

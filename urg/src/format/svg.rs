@@ -84,7 +84,7 @@ impl Paper {
         write!(out, r#"<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}mm" "#)?;
         writeln!(out, r#"height="{height:.1}mm" viewBox="0 0 {WIDTH} {height:.1}">"#)?;
         let who = format!("{} {}", version.product, version.serial_number);
-        let when = time::utc(scan.stamp());
+        let when = time::utc(scan.times().stamp);
         writeln!(out, "<title>Scan of {}, {when}</title>", xml(&who))?;
         writeln!(out, "<style>\n{STYLE}")?;
         for kind in MissingKind::ALL {

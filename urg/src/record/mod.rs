@@ -175,7 +175,10 @@ impl Record {
             reporter.report(&update);
             let item = match update {
                 Update::Scan(scan) => {
-                    times.add(scan.received_at().saturating_duration_since(began), scan.stamp());
+                    times.add(
+                        scan.received_at().saturating_duration_since(began),
+                        scan.times().stamp,
+                    );
                     Ok(scan)
                 }
                 Update::Error(error) => Err(error),

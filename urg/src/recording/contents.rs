@@ -51,9 +51,9 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
         match scan {
             Ok(scan) => {
                 windows.add(scan.window());
-                stamps.add(scan.stamp());
+                stamps.add(scan.times().stamp);
                 log_times.add(recorded.log_time());
-                times.add(recorded.position(), scan.stamp());
+                times.add(recorded.position(), scan.times().stamp);
             }
             Err(RecordingError::Damaged { offset, .. }) => damaged_at.push(offset),
             // The sensor may have been away for the whole recording.

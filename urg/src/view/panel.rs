@@ -121,7 +121,7 @@ impl Panel<'_> {
         ];
         if let Some(scan) = &self.layer.scan {
             // The stamp is too long for one line of the panel.
-            let stamp = time::utc(scan.stamp());
+            let stamp = time::utc(scan.times().stamp);
             let (date, time) = stamp.split_once(' ').unwrap_or_default();
             lines.push(self.row("stamp", date));
             lines.push(self.row("", time));
