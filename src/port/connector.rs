@@ -53,9 +53,8 @@ impl Endpoint {
     /// # Serial numbers
     ///
     /// For [`Endpoint::SerialNumber`], each [`connect`](Connect::connect) opens the next port with
-    /// the USB id of URG sensors. Check whether it has the right sensor. If not, and
-    /// [`has_more`](ConnectHints::has_more) is true, call `connect` again for the next candidate.
-    /// It skips ports that cannot be opened within 2 s, and retries busy ones four times, every
+    /// the USB id of URG sensors. The driver checks whether it has the right sensor. The search skips
+    /// ports that cannot be opened within 2 s, and retries busy ones four times, every
     /// half second. Until then it opens each port that appears. After the last candidate the error is
     /// [`NoSuchSensor`](crate::ErrorKind::NoSuchSensor), or
     /// [`PermissionDenied`](crate::ErrorKind::PermissionDenied) if you may not open one of the

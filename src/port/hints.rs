@@ -1,54 +1,56 @@
-//! What your port or connector can tell the driver beyond its bytes: [`PortHints`] and
-//! [`ConnectHints`]. All methods are optional, and each default is safe. Override a method only if
-//! it is true of your transport: its documentation says what breaks otherwise.
+//! [`PortHints`]: what a port can tell the driver beyond its bytes. [`ConnectHints`]: what the search
+//! for a serial number tells it.
 //!
-//! A port returns its hints from [`Port::hints`](super::Port::hints), a connector from
-//! [`Connect::hints`](super::Connect::hints):
-//!
-//! ```
-//! # use std::pin::Pin;
-//! # use std::task::{Context, Poll};
-//! # use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-//! use tokio_scip::port::{Port, PortHints};
-//!
-//! /// A radio link, which falls silent when it is out of range.
-//! struct Radio(tokio::net::TcpStream);
-//!
-//! impl Port for Radio {
-//!     fn hints(&mut self) -> Option<&mut dyn PortHints> {
-//!         Some(self)
-//!     }
-//! }
-//!
-//! impl PortHints for Radio {
-//!     fn can_die_silently(&mut self) -> bool {
-//!         true
-//!     }
-//! }
-//! # impl AsyncRead for Radio {
-//! #     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<std::io::Result<()>> {
-//! #         Pin::new(&mut self.0).poll_read(cx, buffer)
-//! #     }
-//! # }
-//! # impl AsyncWrite for Radio {
-//! #     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<std::io::Result<usize>> {
-//! #         Pin::new(&mut self.0).poll_write(cx, bytes)
-//! #     }
-//! #     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<std::io::Result<()>> {
-//! #         Pin::new(&mut self.0).poll_flush(cx)
-//! #     }
-//! #     fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<std::io::Result<()>> {
-//! #         Pin::new(&mut self.0).poll_shutdown(cx)
-//! #     }
-//! # }
-//! ```
+//! What only the ports and the connector of this crate can answer is hidden from the documentation.
 
 use std::io;
 use std::pin::Pin;
 use std::time::SystemTime;
 
-/// Abilities of a [`Port`](super::Port) beyond reading and writing. The driver calls all methods in
-/// its task: they must not block.
+/// What a [`Port`](super::Port) can tell the driver beyond its bytes. Return it from
+/// [`Port::hints`](super::Port::hints).
+///
+/// All methods are optional, and each default is safe. Override a method only if it is true of your
+/// transport: its documentation says what breaks otherwise. The driver calls all methods in its
+/// task: they must not block.
+///
+/// ```
+/// # use std::pin::Pin;
+/// # use std::task::{Context, Poll};
+/// # use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+/// use tokio_scip::port::{Port, PortHints};
+///
+/// /// A radio link, which falls silent when it is out of range.
+/// struct Radio(tokio::net::TcpStream);
+///
+/// impl Port for Radio {
+///     fn hints(&mut self) -> Option<&mut dyn PortHints> {
+///         Some(self)
+///     }
+/// }
+///
+/// impl PortHints for Radio {
+///     fn can_die_silently(&mut self) -> bool {
+///         true
+///     }
+/// }
+/// # impl AsyncRead for Radio {
+/// #     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<std::io::Result<()>> {
+/// #         Pin::new(&mut self.0).poll_read(cx, buffer)
+/// #     }
+/// # }
+/// # impl AsyncWrite for Radio {
+/// #     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<std::io::Result<usize>> {
+/// #         Pin::new(&mut self.0).poll_write(cx, bytes)
+/// #     }
+/// #     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+/// #         Pin::new(&mut self.0).poll_flush(cx)
+/// #     }
+/// #     fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+/// #         Pin::new(&mut self.0).poll_shutdown(cx)
+/// #     }
+/// # }
+/// ```
 pub trait PortHints {
     /// Returns true if the link can be lost without a failing read or write, as a TCP
     /// connection or an RS-232 line can. The driver then probes the sensor while it is idle
@@ -94,45 +96,34 @@ pub trait PortHints {
     }
 
     /// Reads the bytes that the system has now, without waiting for the runtime's I/O driver to
-    /// report them. The driver calls it before each command to drop pending bytes; otherwise it
-    /// yields to the runtime once. Return `None` (the default) if the port cannot do this.
-    ///
-    /// If it reports `WouldBlock` while the system has bytes, the driver does not drop a late reply
-    /// before the next command. It then detects the reply by its echo, and loses a scan. If it
-    /// always returns bytes, the driver gives up on the link after 64 KiB.
-    ///
-    /// # Errors
-    ///
-    /// Fails with `ErrorKind::WouldBlock` if the system has no bytes, and otherwise as
-    /// `poll_read` does.
+    /// report them, or fails with `ErrorKind::WouldBlock`. The driver calls it before each command to
+    /// drop pending bytes. It yields to the runtime instead if this returns `None`, the default.
+    #[doc(hidden)]
     fn try_read(&mut self, buffer: &mut [u8]) -> Option<io::Result<usize>> {
         let _ = buffer;
         None
     }
 
     /// Stops waking the driver for bytes that arrive, until the next `poll_read`. That `poll_read`
-    /// must first read the bytes that the system has by then, and resume the wake-ups. Return
-    /// whether the port has done so. Default: `false`.
+    /// must first read the bytes that the system has by then, and resume the wake-ups. Returns
+    /// whether the port has done so, which is the default's `false`.
     ///
     /// The driver calls it after a `poll_read` that returned `Pending`, while the rest of a reply
     /// is still some milliseconds away. A serial line delivers a scan in 20 to 100 pieces, each of
     /// which would wake the driver.
-    ///
-    /// If the next `poll_read` does not look for bytes itself, each scan waits for its timeout. If
-    /// you return `true` and wake the driver nevertheless, you only lose the savings.
+    #[doc(hidden)]
     fn suspend_wakeups(&mut self) -> bool {
         false
     }
 
     /// Drops bytes that were written and are not on the line yet, so that closing the port does not
-    /// wait for them. The driver calls it once, before it drops the port. Default: does nothing.
-    ///
-    /// Without it, dropping a serial port whose line has stalled may block while the system waits
-    /// for its output.
+    /// wait for them. The driver calls it once, before it drops the port. Does nothing by default.
+    #[doc(hidden)]
     fn discard_output(&mut self) {}
 }
 
 /// What a [`Connect`](super::Connect) that searches several ports can tell the driver.
+#[doc(hidden)]
 pub trait ConnectHints {
     /// Returns true if there is another candidate, after the last opened port turned out to have no
     /// sensor or the wrong one. If true, the driver calls [`connect`](super::Connect::connect)

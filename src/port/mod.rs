@@ -58,7 +58,9 @@ pub(crate) use any_connect::AnyConnect;
 pub(crate) use attached::Attached;
 #[doc(no_inline)]
 pub use endpoint::Endpoint;
-pub use hints::{ConnectHints, PortHints};
+#[doc(hidden)]
+pub use hints::ConnectHints;
+pub use hints::PortHints;
 #[cfg(feature = "serial")]
 pub use list::{PortInfo, UsbId, list};
 #[cfg(feature = "serial")]
@@ -101,8 +103,8 @@ pub trait Port: AsyncRead + AsyncWrite + Send + Unpin + 'static {
         Poll::Ready(Err(io::ErrorKind::Unsupported.into()))
     }
 
-    /// What else the port can do for the driver, or `None` (the default) for a plain stream
-    /// of bytes.
+    /// What else the port can tell the driver, or `None` (the default) for a plain stream of
+    /// bytes.
     fn hints(&mut self) -> Option<&mut dyn PortHints> {
         None
     }
@@ -193,6 +195,7 @@ pub trait Connect: Send + 'static {
 
     /// What else the connector knows, if it searches for a sensor on several ports.
     /// Default: `None`.
+    #[doc(hidden)]
     fn hints(&mut self) -> Option<&mut dyn ConnectHints> {
         None
     }
