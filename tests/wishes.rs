@@ -122,10 +122,10 @@ impl History {
         };
         let refusals = Refusals::default();
         let opens = Opens(emulator.clone(), refusals.clone());
-        let sensor = builder()
-            .jitter_seed(seed)
-            .idle_probe(Some(Duration::from_secs(1)))
-            .request_timeout(Duration::from_secs(3));
+        let sensor = builder();
+        fastrand::seed(seed);
+        let sensor =
+            sensor.idle_probe(Some(Duration::from_secs(1))).request_timeout(Duration::from_secs(3));
         let baud_rate = random.once_in(2).then(|| *random.pick(&BaudRate::ALL));
         let sensor = match baud_rate {
             Some(baud_rate) => sensor.baud_rate(baud_rate),
@@ -385,7 +385,9 @@ async fn beside_refused(seed: u64) {
     let emulator = Emulator::builder().world(Fixed::filled(1000)).build();
     let refusals = Refusals::default();
     let opens = Opens(emulator.clone(), refusals.clone());
-    let sensor = builder().jitter_seed(seed).connect(opens).await.unwrap();
+    let builder = builder();
+    fastrand::seed(seed);
+    let sensor = builder.connect(opens).await.unwrap();
     let (good, refused) = (1 + random.below(2), 1 + random.below(3));
     let mut streams = Vec::new();
     for number in 0..good + refused {

@@ -108,7 +108,8 @@ pub(crate) async fn observed(
     window: Window,
     rate: Rate,
 ) -> (Sensor, ScanStream) {
-    let builder = Sensor::builder().on_reply(recorder.observer()).depth(1 << 16).jitter_seed(7);
+    fastrand::seed(7);
+    let builder = Sensor::builder().on_reply(recorder.observer()).depth(1 << 16);
     let sensor = builder.connect(emulator).await.unwrap();
     let scans = sensor.scans(window, rate).await.unwrap();
     (sensor, scans)

@@ -8,12 +8,11 @@ pub(crate) struct Backoff {
     shortest: Duration,
     longest: Duration,
     next: Duration,
-    seed: u64,
 }
 
 impl Backoff {
-    pub(crate) fn new((shortest, longest): (Duration, Duration), seed: u64) -> Self {
-        Self { shortest, longest, next: shortest, seed }
+    pub(crate) fn new((shortest, longest): (Duration, Duration)) -> Self {
+        Self { shortest, longest, next: shortest }
     }
 
     /// Starts over with the shortest delay if a link that lasted this long has outlasted the
@@ -32,13 +31,9 @@ impl Backoff {
     /// Returns the current delay plus up to 10 % jitter, then doubles it. The jitter may
     /// exceed the longest delay.
     pub(crate) fn next(&mut self) -> Duration {
-        // One step of a linear congruential generator. Only its upper bits are random
-        // enough.
-        self.seed = self.seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-        let jitter = 1.0 + 0.1 * (self.seed >> 40) as f64 / f64::from(1 << 24);
         let wait = self.next;
         self.next = (wait * 2).min(self.longest);
-        wait.mul_f64(jitter)
+        wait.mul_f64(1.0 + 0.1 * fastrand::f64())
     }
 }
 
@@ -53,8 +48,8 @@ mod tests {
     #[test]
     fn waits_double_up_to_the_longest() {
         let mut longest_first = Duration::ZERO;
-        for seed in 0..100 {
-            let mut backoff = Backoff::new((ms(100), ms(1000)), seed);
+        for _ in 0..100 {
+            let mut backoff = Backoff::new((ms(100), ms(1000)));
             for wait in [100, 200, 400, 800, 1000, 1000] {
                 let next = backoff.next();
                 assert!((ms(wait)..=ms(wait) * 11 / 10).contains(&next), "{wait}: {next:?}");
@@ -68,7 +63,7 @@ mod tests {
 
     #[test]
     fn only_a_link_that_outlasts_the_next_wait_starts_over() {
-        let mut backoff = Backoff::new((ms(100), ms(1000)), 1);
+        let mut backoff = Backoff::new((ms(100), ms(1000)));
         backoff.next();
         backoff.restart_if_outlasted(ms(200));
         assert!(backoff.next() >= ms(200));

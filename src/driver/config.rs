@@ -1,10 +1,7 @@
 //! [`Config`]: how a driver behaves, as the builder sets it.
 
-use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
 use std::time::Duration;
-
-use tokio::time::Instant;
 
 use super::observers::ReplyObservers;
 use crate::BaudRate;
@@ -49,7 +46,6 @@ pub(crate) struct Config {
     pub(crate) wait_for_sensor: bool,
     pub(crate) reconnect: bool,
     pub(crate) backoff: (Duration, Duration),
-    pub(crate) jitter_seed: Option<u64>,
     pub(crate) serial_number: Option<Text>,
     pub(crate) any_sensor: bool,
     pub(crate) depth: usize,
@@ -57,14 +53,6 @@ pub(crate) struct Config {
     pub(crate) idle_probe: IdleProbe,
     /// Observers that the builder has. The driver gets a copy.
     pub(crate) observers: Arc<ReplyObservers>,
-}
-
-impl Config {
-    /// Seed of all random choices.
-    pub(crate) fn seed(&self) -> u64 {
-        let random = || RandomState::new().hash_one(Instant::now().into_std());
-        self.jitter_seed.unwrap_or_else(random)
-    }
 }
 
 impl Default for Config {
@@ -78,7 +66,6 @@ impl Default for Config {
             wait_for_sensor: false,
             reconnect: true,
             backoff: (Duration::from_millis(100), Duration::from_secs(1)),
-            jitter_seed: None,
             serial_number: None,
             any_sensor: false,
             depth: 1,

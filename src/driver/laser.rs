@@ -27,7 +27,6 @@ pub(crate) struct Laser {
     is_reported: bool,
     /// Windows that the sensor refuses to measure.
     refused: Vec<RefusedWindow>,
-    seed: u64,
     telemetry: Arc<Telemetry>,
 }
 
@@ -43,14 +42,13 @@ struct RefusedWindow {
 }
 
 impl Laser {
-    pub(crate) fn new(seed: u64, telemetry: Arc<Telemetry>) -> Self {
+    pub(crate) fn new(telemetry: Arc<Telemetry>) -> Self {
         Self {
             is_off: false,
             retry_at: None,
-            backoff: Backoff::new(RETRY, seed),
+            backoff: Backoff::new(RETRY),
             is_reported: false,
             refused: Vec::new(),
-            seed,
             telemetry,
         }
     }
@@ -177,7 +175,7 @@ impl Laser {
         let mut refused = match self.refused.iter().position(known) {
             Some(place) => self.refused.swap_remove(place),
             None => {
-                let backoff = Backoff::new(RETRY, self.seed);
+                let backoff = Backoff::new(RETRY);
                 RefusedWindow { window, backoff, error: None, retry_at: now }
             }
         };

@@ -57,13 +57,13 @@ impl Opener {
         let asked = connect.hints().and_then(|hints| hints.expected_serial_number());
         let asked = asked.map(Text::from);
         Self {
-            laser: Laser::new(config.seed(), Arc::clone(&telemetry)),
+            laser: Laser::new(Arc::clone(&telemetry)),
             baud_rate: config.baud_rate,
             is_reported: false,
             found: None,
             serial_number: None,
             identity: config.serial_number.clone().or(asked),
-            leftovers: Leftovers::unknown(config.seed()),
+            leftovers: Leftovers::unknown(),
             opened: false,
             motor_speed: None,
             scan_time: REVOLUTION,

@@ -59,7 +59,7 @@ impl Supervisor {
             _final_state: FinalState(Arc::clone(&telemetry)),
             opener,
             offline,
-            backoff: Backoff::new(config.backoff, config.seed()),
+            backoff: Backoff::new(config.backoff),
             config,
             telemetry,
         }

@@ -109,13 +109,6 @@ impl SensorBuilder {
         self
     }
 
-    /// Sets the seed of all random choices, for repeatable simulations: the jitter of the back-off,
-    /// and the step of the first fence.
-    pub fn jitter_seed(mut self, seed: u64) -> Self {
-        self.config.jitter_seed = Some(seed);
-        self
-    }
-
     /// Sets the serial number that you expect, as in the sensor's `SERI:` line. The driver refuses
     /// any other sensor with [`AnotherSensor`](crate::ErrorKind::AnotherSensor). By
     /// default it accepts the first sensor that it finds, and after a reconnect expects the same

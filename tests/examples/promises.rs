@@ -69,7 +69,8 @@ async fn run(
 ) -> PromiseRun {
     limit();
     let emulator = Emulator::builder().world(world).build();
-    let sensor = safety_stop::settings().jitter_seed(7).connect(emulator.clone()).await.unwrap();
+    fastrand::seed(7);
+    let sensor = safety_stop::settings().connect(emulator.clone()).await.unwrap();
     let (guard, motion) = guarded(&sensor, None).await;
     emulator.set_faults(faults);
     let mut run = PromiseRun::default();

@@ -136,7 +136,8 @@ async fn execute(
 /// the driver.
 async fn run(chooser: &mut Chooser, enumerated: Range<usize>, end: OrderEnd, is_streaming: bool) {
     let emulator = Emulator::builder().usb().pace(Pace::AtOnce).build();
-    let builder = Sensor::builder().jitter_seed(1).reconnect(false).depth(64);
+    fastrand::seed(1);
+    let builder = Sensor::builder().reconnect(false).depth(64);
     // It would wake an idle driver, too.
     let builder = builder.idle_probe(None);
     let (sensor, driver) = builder.build(emulator.clone());

@@ -143,7 +143,8 @@ impl ScenarioRun<'_> {
     /// Returns the number of scans that came, or the promise that was broken.
     async fn run(&self) -> Result<u64, String> {
         let scenario = self.scenario;
-        let builder = Sensor::builder().jitter_seed(1).wait_for_sensor(true).depth(256);
+        fastrand::seed(1);
+        let builder = Sensor::builder().wait_for_sensor(true).depth(256);
         let (sensor, driver) = builder.build(self.line.clone());
         let driver = tokio::spawn(driver);
         if scenario.chooses_while_opening {

@@ -27,10 +27,8 @@ pub(crate) fn the_driver_stands_any_port_and_any_user(script: &[u8]) {
 }
 
 async fn use_sensor(script: Script<'_>, peer: Peer) {
-    let builder = Sensor::builder()
-        .jitter_seed(0)
-        .wait_for_sensor(true)
-        .reply_latency(Duration::from_millis(200));
+    fastrand::seed(0);
+    let builder = Sensor::builder().wait_for_sensor(true).reply_latency(Duration::from_millis(200));
     let (sensor, driver) = builder.build(peer.clone());
     let driver = tokio::spawn(driver);
     User { sensor: sensor.clone(), peer: peer.clone(), stream: None, off: None, last: None }

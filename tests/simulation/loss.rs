@@ -71,7 +71,8 @@ pub(crate) fn sensor(truth: &SimulationTruth, rate: Rate) -> EmulatorBuilder {
 pub(crate) async fn poll(window: Window, rate: Rate, faults: Faults, time: Duration) -> Loss {
     let truth = SimulationTruth::default();
     let emulator = sensor(&truth, rate).build();
-    let sensor = Sensor::builder().jitter_seed(1).depth(16).connect(emulator.clone());
+    fastrand::seed(1);
+    let sensor = Sensor::builder().depth(16).connect(emulator.clone());
     let sensor = sensor.await.unwrap();
     emulator.set_faults(faults);
     let end = Instant::now() + time;

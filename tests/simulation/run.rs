@@ -124,7 +124,8 @@ async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> SimulationOutco
         is_ready: seed % 2 == 1,
         healthy: Arc::clone(&run.healthy),
     };
-    let builder = Sensor::builder().jitter_seed(seed).wait_for_sensor(true);
+    fastrand::seed(seed);
+    let builder = Sensor::builder().wait_for_sensor(true);
     let builder = builder.depth(1 + random.below(3) as usize).serial_number(SERIAL_NUMBER);
     let builder = match random.once_in(2) {
         true => builder.baud_rate(*random.pick(&tokio_scip::BaudRate::ALL)),

@@ -50,8 +50,8 @@ async fn record(random: &mut Random, seed: u64) -> Own {
         false => Recorder::builder().write_to(sink.clone()),
     }
     .unwrap();
-    let sensor =
-        Sensor::builder().depth(1 << 10).jitter_seed(seed).connect(sensor()).await.unwrap();
+    fastrand::seed(seed);
+    let sensor = Sensor::builder().depth(1 << 10).connect(sensor()).await.unwrap();
     let (observed, described) = (random.below(4), random.below(3));
     let windows = [window(300, 305, 1), window(310, 313, 1), window(380, 388, 3)];
     if observed == 0 {

@@ -41,7 +41,8 @@ fn recorded(scans: usize, rate: Rate, described: &[usize]) -> Vec<u8> {
     runtime.block_on(async {
         let (out, file) = std::sync::mpsc::channel();
         let mut recorder = Recorder::builder().write_to(Pieces(out)).unwrap();
-        let builder = Sensor::builder().on_reply(recorder.observer()).jitter_seed(7);
+        fastrand::seed(7);
+        let builder = Sensor::builder().on_reply(recorder.observer());
         let sensor = builder.connect(Emulator::default()).await.unwrap();
         let window = Window::new(380..=384).unwrap();
         let mut stream = sensor.scans(window, rate).await.unwrap();

@@ -76,8 +76,8 @@ pub(crate) struct Leftovers {
 
 impl Leftovers {
     /// Before the first session, an earlier program may have left replies to anything.
-    pub(crate) fn unknown(seed: u64) -> Self {
-        Self { unique_requests: UniqueRequests::starting(seed), interrupted: false }
+    pub(crate) fn unknown() -> Self {
+        Self { unique_requests: UniqueRequests::random(), interrupted: false }
     }
 }
 
