@@ -106,7 +106,7 @@ pub(crate) async fn watch(
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (sender, mut reports) = mpsc::channel(16);
     for door in std::env::args().skip(1) {
-        let sensor = port::open_in_background(Sensor::builder().name(&door), &door)?;
+        let sensor = port::open(Sensor::builder().name(&door).wait_for_sensor(true), &door).await?;
         tokio::spawn(watch(door, sensor, sender.clone()));
     }
     drop(sender);

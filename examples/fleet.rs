@@ -35,7 +35,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut fleet = Vec::new();
     for (number, port) in ports.iter().enumerate() {
         let name = format!("{number} {port}");
-        let sensor = port::open_in_background(Sensor::builder().name(&name), port)?;
+        let sensor = port::open(Sensor::builder().name(&name).wait_for_sensor(true), port).await?;
         let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
         tasks.spawn(consume(name.clone(), scans));
         fleet.push((name, sensor));

@@ -58,7 +58,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     for argument in std::env::args().skip(1) {
         let (port, pose) = argument.rsplit_once('@').ok_or("expected PORT@X,Y,DEGREES")?;
         let pose = parse(pose).ok_or("expected X,Y,DEGREES after the @")?;
-        let sensor = port::open_in_background(Sensor::builder().name(port), port)?;
+        let sensor = port::open(Sensor::builder().name(port).wait_for_sensor(true), port).await?;
         let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
         sensors.push(Mounted { port: port.to_owned(), pose, scans });
     }

@@ -23,7 +23,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let address = arguments.next().ok_or("expected HOST:PORT and ports of sensors")?;
     let (mut sensors, mut streams) = (Vec::new(), Vec::new());
     for port in arguments {
-        let sensor = port::open_in_background(Sensor::builder(), &port)?;
+        let sensor = port::open(Sensor::builder().wait_for_sensor(true), &port).await?;
         // The driver polls while there is a stream, even if nothing reads it, as here.
         streams.push(sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?);
         sensors.push((port, sensor));

@@ -27,7 +27,7 @@ type HttpRefusal = (StatusCode, String);
 #[tokio::main(flavor = "current_thread")]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
     // Serves HTTP at once: until the sensor is there, /health has the reason.
-    let sensor = port::open_in_background(Sensor::builder(), &port::argument())?;
+    let sensor = port::open(Sensor::builder().wait_for_sensor(true), &port::argument()).await?;
     let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
     let address = std::env::args().nth(2).unwrap_or("127.0.0.1:8081".to_owned());
     let listener = TcpListener::bind(address).await?;

@@ -19,7 +19,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     use sd_notify::NotifyState::{Ready, Status, Watchdog};
     use tokio_scip::{ErrorChain, Rate, Sensor, Window};
 
-    let sensor = port::open_in_background(Sensor::builder(), &port::argument())?;
+    let sensor = port::open(Sensor::builder().wait_for_sensor(true), &port::argument()).await?;
     let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
     println!("tells systemd every second whether scans are fresh");
     // The service does its work in other tasks, with clones of the stream.

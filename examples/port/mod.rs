@@ -1,5 +1,5 @@
 //! The sensor that an argument names: a port, or `emulated` for one in software. A service
-//! of yours needs only `builder.open(port)` or `builder.open_in_background(port)`.
+//! of yours needs only `builder.open(port)`.
 
 use tokio_scip::{Error, Sensor, SensorBuilder};
 use urg_emulator::{Emulator, Room};
@@ -14,23 +14,11 @@ pub(crate) fn argument() -> String {
 }
 
 /// Opens the sensor at `port`.
-#[allow(dead_code, reason = "some examples open it in the background")]
 pub(crate) async fn open(builder: SensorBuilder, port: &str) -> Result<Sensor, Error> {
     if port == "emulated" {
         return builder.connect(emulator()).await;
     }
     builder.open(port).await
-}
-
-/// Returns a sensor at once, even if it is not there yet.
-#[allow(dead_code, reason = "some examples need the sensor at once")]
-pub(crate) fn open_in_background(builder: SensorBuilder, port: &str) -> Result<Sensor, Error> {
-    if port == "emulated" {
-        let (sensor, driver) = builder.build(emulator());
-        tokio::spawn(driver);
-        return Ok(sensor);
-    }
-    builder.open_in_background(port)
 }
 
 /// Each emulated sensor stands in a room of its own.

@@ -81,11 +81,30 @@ impl SensorBuilder {
         self
     }
 
-    /// Sets whether opening waits, without a time limit, until the port exists and is free and the
-    /// sensor answers. Default: `false`, opening fails. An error that waiting cannot remedy, such
-    /// as [`PermissionDenied`](crate::ErrorKind::PermissionDenied), still fails when it
-    /// repeats. The driver logs each reason for waiting at level info: once, and again every ten
-    /// minutes.
+    /// Sets whether your service can start before its sensor. Default: `false`, opening fails if there
+    /// is none.
+    ///
+    /// With `true`, opening returns at once, and the driver waits in the background, without a time
+    /// limit, until the port exists and is free and the sensor answers. Streams begin with its first
+    /// scan. Until then [`freshness`](Sensor::freshness) and [`watch_state`](Sensor::watch_state) have
+    /// the reason, and requests fail with it after the [request timeout](Self::request_timeout). The
+    /// driver logs each reason for waiting at level info: once, and again every ten minutes.
+    ///
+    /// An error that waiting cannot remedy, such as
+    /// [`PermissionDenied`](crate::ErrorKind::PermissionDenied), ends the driver when it repeats, and
+    /// fails every call from then on.
+    ///
+    /// ```
+    /// # use std::time::Duration;
+    /// # use tokio_scip::{Rate, Sensor, Window};
+    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+    /// # async fn main() -> Result<(), tokio_scip::Error> {
+    /// let sensor = Sensor::builder().wait_for_sensor(true).open("serial:H0713090").await?;
+    /// let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
+    /// assert!(scans.freshness().check(Duration::from_millis(500)).is_err()); // no scan yet
+    /// # Ok(())
+    /// # }
+    /// ```
     pub fn wait_for_sensor(mut self, wait: bool) -> Self {
         self.config.wait_for_sensor = wait;
         self
@@ -217,44 +236,8 @@ impl SensorBuilder {
         E::Error: Into<Error>,
     {
         let endpoint = endpoint.try_into().map_err(Into::into)?;
-        opened(spawn(self.build_for(endpoint))).await
-    }
-
-    /// Opens `endpoint` in the background, and returns at once with a sensor that may not be there
-    /// yet. The driver [waits for it](Self::wait_for_sensor).
-    ///
-    /// Streams begin with its first scan. Until then [`freshness`](Sensor::freshness) and
-    /// [`watch_state`](Sensor::watch_state) have the reason, and requests fail with it after the
-    /// [request timeout](Self::request_timeout). For your own [`Connect`], spawn the driver that
-    /// [`build`](Self::build) returns.
-    ///
-    /// ```
-    /// # use std::time::Duration;
-    /// # use tokio_scip::{Rate, Sensor, Window};
-    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
-    /// # async fn main() -> Result<(), tokio_scip::Error> {
-    /// let sensor = Sensor::builder().open_in_background("serial:H0713090")?;
-    /// let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
-    /// assert!(scans.freshness().check(Duration::from_millis(500)).is_err()); // no scan yet
-    /// # Ok(())
-    /// # }
-    /// ```
-    ///
-    /// # Errors
-    ///
-    /// [`InvalidEndpoint`](crate::ErrorKind::InvalidEndpoint) if the text names no endpoint. An
-    /// error that waiting cannot remedy ends the driver later, and fails every call from then on.
-    ///
-    /// # Panics
-    ///
-    /// Outside of a tokio runtime, as `tokio::spawn` does.
-    pub fn open_in_background<E>(self, endpoint: E) -> Result<Sensor, Error>
-    where
-        E: TryInto<Endpoint>,
-        E::Error: Into<Error>,
-    {
-        let endpoint = endpoint.try_into().map_err(Into::into)?;
-        Ok(spawn(self.wait_for_sensor(true).build_for(endpoint)))
+        let waits = self.config.wait_for_sensor;
+        opened(self.build_for(endpoint), waits).await
     }
 
     /// Opens the sensor behind an open byte stream: a socket, a pipe, an emulated sensor. The
@@ -286,7 +269,8 @@ impl SensorBuilder {
     ///
     /// Outside of a tokio runtime, as `tokio::spawn` does.
     pub async fn connect(self, connect: impl Connect) -> Result<Sensor, Error> {
-        opened(spawn(self.build(connect))).await
+        let waits = self.config.wait_for_sensor;
+        opened(self.build(connect), waits).await
     }
 
     /// Builds a handle and its driver. Spawn the driver yourself: it opens the port when it first
@@ -303,14 +287,14 @@ impl SensorBuilder {
     }
 }
 
-fn spawn((sensor, driver): (Sensor, Driver)) -> Sensor {
+/// Spawns the driver. Waits until the sensor has answered for the first time, unless the driver waits
+/// for it.
+async fn opened((sensor, driver): (Sensor, Driver), waits: bool) -> Result<Sensor, Error> {
     tokio::spawn(driver);
-    sensor
-}
-
-/// Waits until the sensor has answered for the first time.
-async fn opened(sensor: Sensor) -> Result<Sensor, Error> {
-    let is_open = |state: &State| !matches!(state, State::Connecting { .. } | State::Closed { .. });
-    sensor.watch_state().wait_for(is_open).await?;
+    if !waits {
+        let is_open =
+            |state: &State| !matches!(state, State::Connecting { .. } | State::Closed { .. });
+        sensor.watch_state().wait_for(is_open).await?;
+    }
     Ok(sensor)
 }

@@ -104,7 +104,8 @@ async fn o05_a_denied_permission_is_not_reported_as_an_unplugged_port() {
     assert!(denied().to_string().contains("usermod -aG dialout"), "{}", denied());
     // At opening it ends the attempt, even with `wait_for_sensor`.
     let refused = ConnectFn(move || Err::<Link, _>(denied().into()));
-    let error = builder().wait_for_sensor(true).connect(refused).await.unwrap_err();
+    let sensor = builder().wait_for_sensor(true).connect(refused).await.unwrap();
+    let error = sensor.watch_state().connected().await.unwrap_err();
     assert!(matches!(error.kind(), ErrorKind::PermissionDenied { .. }), "{error:?}");
 
     // Later a stream reports it once, and the state shows it.

@@ -61,7 +61,8 @@ async fn d09_any_sensor_accepts_and_sets_a_spare() {
 async fn d09_waiting_continues_beside_a_wrong_sensor() {
     let emulator = truthful().serial_number("H0000002").build();
     let builder = builder().wait_for_sensor(true).serial_number("H0000001");
-    let opening = tokio::spawn(builder.connect(emulator.clone()));
+    let sensor = builder.connect(emulator.clone()).await.unwrap();
+    let opening = tokio::spawn(async move { sensor.watch_state().connected().await });
     tokio::time::sleep(Duration::from_secs(60)).await;
     assert!(!opening.is_finished());
     emulator.unplug();

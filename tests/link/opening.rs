@@ -232,14 +232,16 @@ async fn t10_a_sensor_that_boots_slowly_is_waited_for() {
     let emulator = truthful().boot_time(Duration::from_secs(20)).build();
     emulator.power_cycle();
     assert!(matches!(fails(&emulator).await.kind(), ErrorKind::NoAnswer { .. }));
-    builder().wait_for_sensor(true).connect(emulator).await.unwrap();
+    let sensor = builder().wait_for_sensor(true).connect(emulator).await.unwrap();
+    sensor.watch_state().connected().await.unwrap();
 }
 
 #[tokio::test(start_paused = true)]
-async fn permanent_errors_are_returned_despite_wait_for_sensor() {
+async fn permanent_errors_end_a_driver_that_waits() {
     let emulator = truthful().build();
     emulator.set_mode(Mode::Scip2);
-    let error = builder().wait_for_sensor(true).connect(emulator).await.unwrap_err();
+    let sensor = builder().wait_for_sensor(true).connect(emulator).await.unwrap();
+    let error = sensor.watch_state().connected().await.unwrap_err();
     assert!(matches!(error.kind(), ErrorKind::WrongProtocol { .. }));
 }
 
@@ -485,7 +487,8 @@ async fn a_new_port_that_denies_permission_for_a_moment_is_opened() {
     }
     let emulator = truthful().build();
     let plugged = |tries| Plugged(emulator.clone(), tries);
-    builder().wait_for_sensor(true).connect(plugged(0)).await.unwrap();
+    let sensor = builder().wait_for_sensor(true).connect(plugged(0)).await.unwrap();
+    sensor.watch_state().connected().await.unwrap();
     // Without `wait_for_sensor` the error is returned at once.
     let error = builder().connect(plugged(3)).await.unwrap_err();
     assert!(matches!(error.kind(), ErrorKind::PermissionDenied { .. }), "{error:?}");

@@ -110,7 +110,7 @@ async fn a_sensor_opened_in_the_background_may_come_later() {
     let server = emulator.clone();
     tokio::spawn(async move { server.serve_tcp(listener).await });
 
-    let sensor = Sensor::builder().open_in_background(&address).unwrap();
+    let sensor = Sensor::builder().wait_for_sensor(true).open(&address).await.unwrap();
     let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     let waits = |state: &State| matches!(state, State::Connecting { error: Some(_) });
     sensor.watch_state().wait_for(waits).await.unwrap();
@@ -118,7 +118,7 @@ async fn a_sensor_opened_in_the_background_may_come_later() {
     emulator.plug_in();
     scans.next().await.unwrap().unwrap();
 
-    let invalid = Sensor::builder().open_in_background("tcp://nowhere").unwrap_err();
+    let invalid = Sensor::builder().wait_for_sensor(true).open("tcp://nowhere").await.unwrap_err();
     assert!(matches!(invalid.kind(), ErrorKind::InvalidEndpoint { .. }), "{invalid}");
 }
 

@@ -37,7 +37,7 @@ struct Mounted {
 }
 
 /// Opens the sensor of `PORT@X,Y,DEGREES`.
-fn mount(number: usize, argument: &str) -> Result<Mounted, Box<dyn Error>> {
+async fn mount(number: usize, argument: String) -> Result<Mounted, Box<dyn Error>> {
     let expected = || format!("expected PORT@X,Y,DEGREES, found {argument}");
     let (port, place) = argument.rsplit_once('@').ok_or_else(expected)?;
     let place: Vec<f64> = place.split(',').map(str::parse).collect::<Result<_, _>>()?;
@@ -49,7 +49,7 @@ fn mount(number: usize, argument: &str) -> Result<Mounted, Box<dyn Error>> {
         tokio::spawn(driver);
         sensor
     } else {
-        builder.open_in_background(port)?
+        builder.wait_for_sensor(true).open(port).await?
     };
     Ok(Mounted {
         name: format!("vehicle/sensor_{number}"),
@@ -119,8 +119,8 @@ async fn main() -> Result<(), Box<dyn Error>> {
         Some(_) => viewer.save(arguments.next().ok_or("expected a file after --save")?)?,
         None => viewer.spawn()?,
     };
-    let sensors: Vec<_> =
-        arguments.enumerate().map(|(n, argument)| mount(n, &argument)).collect::<Result<_, _>>()?;
+    let mounting = arguments.enumerate().map(|(n, argument)| mount(n, argument));
+    let sensors = try_join_all(mounting).await?;
     // x ahead, y to the left, as in ROS.
     viewer.log_static("vehicle", &ViewCoordinates::RIGHT_HAND_Z_UP())?;
     sensors.iter().try_for_each(|sensor| sensor.log_place(&viewer))?;
