@@ -13,7 +13,7 @@ use axum::Router;
 use axum::extract::State;
 use axum::routing::get;
 use tokio::net::TcpListener;
-use tokio_scip::{Rate, Sensor, Window};
+use tokio_scip::{Rate, Sensor, Stats, Window};
 
 type Sensors = Arc<[(String, Sensor)]>;
 
@@ -38,26 +38,26 @@ async fn metrics(State(sensors): State<Sensors>) -> String {
     text(&sensors)
 }
 
-/// Returns the figures as Prometheus reads them.
-pub(crate) fn text(sensors: &[(String, Sensor)]) -> String {
-    let figures = sensors
-        .iter()
-        .flat_map(|(name, sensor)| sensor.stats().metrics().map(move |metric| (name, metric)));
-    let mut figures: Vec<_> = figures.collect();
-    // The figures of a name follow each other, for all sensors.
-    figures.sort_by_key(|(_, metric)| metric.name);
+/// Names, descriptions and values of counters. [`Stats`] has more.
+type Counter = (&'static str, &'static str, fn(&Stats) -> u64);
+const COUNTERS: [Counter; 6] = [
+    ("urg_polls_total", "Polls sent to the sensor", |stats| stats.polls),
+    ("urg_scans_total", "Scans received from the sensor", |stats| stats.scans),
+    ("urg_timeouts_total", "Commands not answered in time", |stats| stats.timeouts),
+    ("urg_malformed_total", "Malformed replies", |stats| stats.malformed.total()),
+    ("urg_refused_total", "Commands that the sensor refused", |stats| stats.refused),
+    ("urg_disconnects_total", "Losses of the link", |stats| stats.disconnects),
+];
+
+/// Returns the counters as Prometheus reads them.
+fn text(sensors: &[(String, Sensor)]) -> String {
     let mut text = String::new();
-    let mut family = "";
-    for (sensor, metric) in figures {
-        let (name, suffix, value) = (metric.name, metric.suffix, metric.value);
-        if family != name {
-            family = name;
-            text += &format!("# HELP {name} {}\n# TYPE {name} {}\n", metric.help, metric.kind);
+    for (name, help, value) in COUNTERS {
+        text += &format!("# HELP {name} {help}\n# TYPE {name} counter\n");
+        for (sensor, handle) in sensors {
+            // `{:?}` escapes what a label must not contain.
+            text += &format!("{name}{{sensor={sensor:?}}} {}\n", value(&handle.stats()));
         }
-        let labels = metric.labels.iter().map(|(name, value)| format!(",{name}=\"{value}\""));
-        let labels: String = labels.collect();
-        // `{:?}` escapes what a label must not contain.
-        text += &format!("{name}{suffix}{{sensor={sensor:?}{labels}}} {value}\n");
     }
     text
 }

@@ -39,7 +39,7 @@ impl LatencyStats {
     ///
     /// Never shorter than the exact quantile, and longer by at most an eighth or 64 us,
     /// whichever is more. Above 16 s it is [`max`](Self::max).
-    pub(crate) fn quantile(&self, q: f64) -> Duration {
+    pub fn quantile(&self, q: f64) -> Duration {
         let rank = (q.clamp(0.0, 1.0) * self.count as f64).ceil() as u64;
         let mut counted = 0;
         let bucket = self.histogram.0.iter().position(|count| {

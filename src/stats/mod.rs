@@ -1,4 +1,4 @@
-//! Counters of everything that the driver does, for a metrics exporter or a log. Get a
+//! Counters of everything that the driver does, for a log or an exporter of metrics. Get a
 //! copy from [`Sensor::stats`](crate::Sensor::stats).
 //!
 //! ```
@@ -21,13 +21,11 @@
 //! ```
 
 mod latency;
-mod metrics;
 mod motor;
 #[expect(clippy::module_inception, reason = "it is named after its type")]
 mod stats;
 
 pub use self::latency::LatencyStats;
-pub use self::metrics::{Metric, MetricKind};
 pub use self::motor::MotorStats;
 #[doc(no_inline)]
 pub use self::stats::Stats;

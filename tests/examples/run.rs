@@ -60,7 +60,7 @@ fn metrics_are_served_as_prometheus_reads_them() {
     let answer = { answers }.find(|answer| scans(answer) > 2.0).unwrap();
     assert!(answer.contains(" 200 "), "{answer}");
     assert!(answer.contains(&format!("urg_scans_total{{sensor=\"{ABSENT}\"}} 0\n")), "{answer}");
-    assert!(answer.contains("{sensor=\"emulated\",cause=\"timeout\"} 0\n"), "{answer}");
+    assert!(answer.contains("urg_timeouts_total{sensor=\"emulated\"} 0\n"), "{answer}");
     assert_eq!(answer.matches("# TYPE urg_scans_total counter\n").count(), 1, "{answer}");
 }
 

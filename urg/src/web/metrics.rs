@@ -32,12 +32,12 @@ pub(super) fn metrics(site: &Site) -> Response {
 
 /// Metrics by name, each with the lines of its samples: the format requires them to be adjacent.
 #[derive(Default)]
-struct Families(Vec<(&'static str, String)>);
+pub(super) struct Families(Vec<(&'static str, String)>);
 
 impl Families {
     /// Adds a sample of the metric `(name, kind, help)`. `suffix` extends the name, as in a
     /// summary. No help, label or value needs escapes.
-    fn add(
+    pub(super) fn add(
         &mut self,
         (name, kind, help): (&'static str, &str, &str),
         suffix: &str,
@@ -75,15 +75,12 @@ impl Families {
             let help = "Standard deviation of the interval between scans over ten seconds";
             self.add(("urg_scan_jitter_seconds", "gauge", help), "", &own, jitter);
         }
-        for metric in stats.into_iter().flat_map(Stats::metrics) {
-            let labels = metric.labels.iter().map(|(name, value)| format!("{name}=\"{value}\""));
-            let labels: Vec<_> = own.iter().cloned().chain(labels).collect();
-            let family = (metric.name, &*metric.kind.to_string(), metric.help);
-            self.add(family, metric.suffix, &labels, metric.value);
+        if let Some(stats) = stats {
+            self.stats(&own, stats);
         }
     }
 
-    fn text(self) -> String {
+    pub(super) fn text(self) -> String {
         self.0.into_iter().map(|(_, text)| text).collect()
     }
 }
