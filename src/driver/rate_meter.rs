@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-use crate::Rate;
 use crate::stats::Shortfall;
+use crate::{BaudRate, Rate, Window};
 
 /// Span to average the rate over.
 const RATE_SPAN: Duration = Duration::from_secs(3);
@@ -16,6 +16,7 @@ const SPANS_BETWEEN_REPORTS: u32 = 20;
 /// Measures the achieved rate, span by span.
 #[derive(Debug)]
 pub(crate) struct RateMeter {
+    window: Window,
     rate: Rate,
     since: Instant,
     scans: u32,
@@ -39,11 +40,13 @@ pub(crate) struct Span {
     /// Polls that failed.
     pub(crate) failed: u32,
     pub(crate) shortfall: Option<Shortfall>,
+    pub(crate) baud_rate: Option<BaudRate>,
 }
 
 impl RateMeter {
-    pub(crate) fn new(rate: Rate, now: Instant) -> Self {
+    pub(crate) fn new(window: Window, rate: Rate, now: Instant) -> Self {
         Self {
+            window,
             rate,
             since: now,
             scans: 0,
@@ -70,11 +73,11 @@ impl RateMeter {
         self.failures += 1;
     }
 
-    /// Ends the span if it is over, and returns it. `wire_time` is the time of a reply on the line.
+    /// Ends the span if it is over, and returns it. `baud_rate` is the line's, if it has one.
     pub(crate) fn finish_span(
         &mut self,
         now: Instant,
-        wire_time: impl FnOnce() -> Duration,
+        baud_rate: Option<BaudRate>,
     ) -> Option<Span> {
         let span = now.saturating_duration_since(self.since);
         if span < RATE_SPAN {
@@ -83,17 +86,19 @@ impl RateMeter {
         let reached = f64::from(self.scans) / span.as_secs_f64();
         let shortfall = match self.failures {
             _ if self.rate.is_reached_by(reached) => None,
-            0 => self.slowness(wire_time()),
+            0 => self.slowness(baud_rate),
             _ => Some(Shortfall::Loss),
         };
-        self.span = Some(Span { reached, failed: self.failures, shortfall });
+        self.span = Some(Span { reached, failed: self.failures, shortfall, baud_rate });
         self.restart(now);
         self.span
     }
 
     /// Returns what is too slow, even for the quickest reply: the line if the rate could be reached
     /// without it, or if it takes longer than the sensor.
-    fn slowness(&self, wire_time: Duration) -> Option<Shortfall> {
+    fn slowness(&self, baud_rate: Option<BaudRate>) -> Option<Shortfall> {
+        let wire_time = baud_rate.map(|baud_rate| self.window.wire_time(baud_rate));
+        let wire_time = wire_time.unwrap_or_default();
         let can_reach = |each: Duration| self.rate.is_reached_by(1.0 / each.as_secs_f64());
         let without_line = self.quickest.saturating_sub(wire_time).max(self.revolution);
         match can_reach(self.quickest) {
@@ -103,19 +108,19 @@ impl RateMeter {
         }
     }
 
-    /// Returns the shortfall of a span, unless it occurred within the last
+    /// Returns true if a span falls short for a reason that did not occur within the last
     /// [`SPANS_BETWEEN_REPORTS`].
-    pub(crate) fn report(&mut self, span: Span) -> Option<Shortfall> {
-        let mut news = None;
+    pub(crate) fn is_news(&mut self, span: Span) -> bool {
+        let mut is_news = false;
         for (kind, since) in KINDS.into_iter().zip(&mut self.spans_since) {
             if span.shortfall == Some(kind) {
-                news = span.shortfall.filter(|_| *since >= SPANS_BETWEEN_REPORTS);
+                is_news = *since >= SPANS_BETWEEN_REPORTS;
                 *since = 0;
             } else {
                 *since = since.saturating_add(1);
             }
         }
-        news
+        is_news
     }
 
     /// Forgets the latest span, because the link is lost.
@@ -131,31 +136,34 @@ impl RateMeter {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
 
-    fn meter() -> RateMeter {
-        RateMeter::new(Rate::hz(10.0), Instant::now())
+    fn at(rate: Rate) -> RateMeter {
+        RateMeter::new(Window::new(0..=384).unwrap(), rate, Instant::now())
     }
 
     #[test]
     fn a_shortfall_is_reported_once_each_time() {
-        let mut meter = meter();
-        let mut report = |shortfall| meter.report(Span { reached: 5.0, failed: 0, shortfall });
+        let mut meter = at(Rate::hz(10.0));
+        let mut is_news =
+            |shortfall| meter.is_news(Span { reached: 5.0, failed: 0, shortfall, baud_rate: None });
         let slow = Some(Shortfall::Line);
-        assert_eq!([report(slow), report(slow)], [slow, None]);
+        assert_eq!([is_news(slow), is_news(slow)], [true, false]);
         let loss = Some(Shortfall::Loss);
-        assert_eq!([report(loss), report(loss)], [loss, None]);
-        assert_eq!((0..20).find_map(|_| report(None)), None);
-        assert_eq!(report(slow), slow);
+        assert_eq!([is_news(loss), is_news(loss)], [true, false]);
+        assert!((0..20).all(|_| !is_news(None)));
+        assert!(is_news(slow));
     }
 
     #[test]
     fn a_span_blames_what_it_has_evidence_for() {
         let [quick, slow] = [80, 120].map(Duration::from_millis);
         let revolution = Duration::from_millis(100);
-        let [usb, line, fast_line] = [0, 100, 10].map(Duration::from_millis);
-        for (scans, took, wire_time, failures, expected) in [
+        // A reply takes 69 and 11 ms.
+        let (usb, line, fast_line) = (None, Some(BaudRate::B115200), Some(BaudRate::B750000));
+        for (scans, took, baud_rate, failures, expected) in [
             (30, slow, usb, 0, None),
             (29, slow, usb, 1, None),
             (25, slow, usb, 0, Some(Shortfall::Sensor)),
@@ -165,18 +173,18 @@ mod tests {
             (25, quick, usb, 0, None),
             (25, slow, usb, 5, Some(Shortfall::Loss)),
         ] {
-            let mut meter = meter();
+            let mut meter = at(Rate::hz(10.0));
             (0..scans).for_each(|_| meter.count_scan(took, revolution));
             (0..failures).for_each(|_| meter.count_failure());
             let since = meter.since;
-            assert_eq!(meter.finish_span(since + Duration::from_millis(2999), || usb), None);
-            let span = meter.finish_span(since + RATE_SPAN, || wire_time).unwrap();
+            assert_eq!(meter.finish_span(since + Duration::from_millis(2999), usb), None);
+            let span = meter.finish_span(since + RATE_SPAN, baud_rate).unwrap();
             assert_eq!(span.shortfall, expected, "{scans} {took:?} {failures}");
             assert_eq!(span.failed, failures);
         }
-        let mut faster = RateMeter::new(Rate::hz(20.0), Instant::now());
+        let mut faster = at(Rate::hz(20.0));
         (0..30).for_each(|_| faster.count_scan(quick, revolution));
-        let span = faster.finish_span(faster.since + RATE_SPAN, || fast_line).unwrap();
+        let span = faster.finish_span(faster.since + RATE_SPAN, fast_line).unwrap();
         assert_eq!(span.shortfall, Some(Shortfall::Sensor), "the motor turns no faster");
     }
 }

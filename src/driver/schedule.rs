@@ -14,7 +14,7 @@ use super::rate_meter::RateMeter;
 use crate::ring::{Cursor, Ring};
 use crate::scan::Scan;
 use crate::state::Telemetry;
-use crate::stats::{ScheduleStats, Shortfall};
+use crate::stats::ScheduleStats;
 use crate::{BaudRate, Error, ErrorKind, Rate, Window};
 
 /// All schedules of a driver.
@@ -56,8 +56,8 @@ pub(crate) struct Ended {
     pub(crate) repeats: bool,
     /// Number of scans that readers have missed since the previous one.
     pub(crate) newly_missed: u64,
-    /// Why the rate falls short, if that is news.
-    pub(crate) shortfall: Option<Shortfall>,
+    /// True if the rate falls short, and the log does not tell so yet.
+    pub(crate) falls_short: bool,
 }
 
 impl Schedules {
@@ -139,7 +139,7 @@ impl Schedules {
         let (repeats, missed) = schedule.ring.push(scan);
         let newly_missed = missed - std::mem::replace(&mut schedule.missed, missed);
         self.missed += newly_missed;
-        Ended { repeats, newly_missed, shortfall: self.end_poll(poll, baud_rate) }
+        Ended { repeats, newly_missed, falls_short: self.end_poll(poll, baud_rate) }
     }
 
     /// Reports the error of one poll.
@@ -147,22 +147,21 @@ impl Schedules {
         let Some(schedule) = self.find(poll.window, poll.rate) else { return Ended::default() };
         schedule.report(error);
         schedule.speed.count_failure();
-        Ended { shortfall: self.end_poll(poll, None), ..Ended::default() }
+        Ended { falls_short: self.end_poll(poll, None), ..Ended::default() }
     }
 
-    /// Ends a poll, and returns why the rate falls short, if that is news. At [`Rate::UNLIMITED`] the
-    /// next poll is due now.
-    fn end_poll(&mut self, poll: DuePoll, baud_rate: Option<BaudRate>) -> Option<Shortfall> {
+    /// Ends a poll, and returns true if the rate falls short and that is news. At [`Rate::UNLIMITED`]
+    /// the next poll is due now.
+    fn end_poll(&mut self, poll: DuePoll, baud_rate: Option<BaudRate>) -> bool {
         let now = Instant::now();
-        let schedule = self.find(poll.window, poll.rate)?;
+        let Some(schedule) = self.find(poll.window, poll.rate) else { return false };
         if poll.rate.period().is_none() {
             schedule.due = now;
         }
-        let wire_time = || baud_rate.map(|baud_rate| poll.window.wire_time(baud_rate));
-        let span = schedule.speed.finish_span(now, || wire_time().unwrap_or_default());
-        let shortfall = span.and_then(|span| schedule.speed.report(span));
+        let span = schedule.speed.finish_span(now, baud_rate);
+        let is_news = span.is_some_and(|span| schedule.speed.is_news(span));
         self.changed |= span.is_some();
-        shortfall
+        is_news
     }
 
     /// Reports a lost link to all streams.
@@ -235,7 +234,7 @@ impl Schedule {
             due: now,
             missed: 0,
             condition: None,
-            speed: RateMeter::new(rate, now),
+            speed: RateMeter::new(window, rate, now),
         }
     }
 
@@ -288,6 +287,7 @@ impl Schedule {
             reached: span.map(|span| span.reached),
             failed: span.map_or(0, |span| span.failed),
             shortfall: span.and_then(|span| span.shortfall),
+            baud_rate: span.and_then(|span| span.baud_rate),
         }
     }
 }

@@ -16,7 +16,6 @@ use super::session::{Acquired, Session};
 use super::transport::Timer;
 use crate::scan::{Scan, ScanMeta};
 use crate::state::Telemetry;
-use crate::stats::Shortfall;
 use crate::{BaudRate, ErrorChain, ErrorKind, Geometry, Window};
 
 /// Number of attempts at a baud rate that the sensor neither confirms nor refuses. At a baud rate
@@ -356,8 +355,8 @@ impl Service<'_> {
             }
             Err(failure) => self.fail(poll, failure)?,
         };
-        if let Some(shortfall) = ended.shortfall {
-            self.warn_of(shortfall, poll);
+        if ended.falls_short {
+            self.warn_of_shortfall(poll);
         }
         if ended.repeats || ended.newly_missed > 0 || skipped > 0 {
             let mut stats = self.telemetry.stats();
@@ -464,24 +463,11 @@ impl Service<'_> {
 
     /// Logs why a schedule falls short of its rate.
     #[cold]
-    fn warn_of(&mut self, shortfall: Shortfall, poll: DuePoll) {
-        let DuePoll { window, rate } = poll;
+    fn warn_of_shortfall(&mut self, poll: DuePoll) {
         let Some(stats) = self.schedules.stats(poll) else { return };
-        let (reached, failed) = (stats.reached.unwrap_or_default(), stats.failed);
-        match shortfall {
-            Shortfall::Line => tracing::warn!(
-                %window, asked = %rate, reached,
-                "the line cannot keep up: ask for fewer scans or steps, or for a higher baud rate"
-            ),
-            Shortfall::Sensor => tracing::warn!(
-                %window, asked = %rate, reached,
-                "the sensor answers no faster, mostly once in a revolution: ask for fewer scans"
-            ),
-            Shortfall::Loss => tracing::warn!(
-                %window, asked = %rate, reached, failed,
-                "replies are lost, malformed or refused: check the cable and the sensor's power"
-            ),
-        }
+        let (DuePoll { window, rate }, reached) = (poll, stats.reached.unwrap_or_default());
+        let explanation = stats.explanation().unwrap_or_default();
+        tracing::warn!(%window, asked = %rate, reached, "{explanation}");
     }
 
     /// Updates the state only on a change, because a user may hold a borrow of it.

@@ -2,11 +2,11 @@
 
 use crate::protocol::{MalformedError, ReplyError};
 use crate::stats::{LatencyStats, MotorStats};
-use crate::{Rate, Window};
+use crate::{BaudRate, Rate, Window};
 
 /// Counters since the driver started: a copy, from [`Sensor::stats`](crate::Sensor::stats).
 /// Counts never decrease, not even when the link is lost. Serialises (feature `serde`) as its
-/// fields. [`metrics`](Self::metrics) adds names, kinds and units for an exporter.
+/// fields.
 #[derive(Debug, Clone, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
@@ -110,6 +110,46 @@ pub struct ScheduleStats {
     /// Why the rate was not reached in those seconds. `None` also if only this computer was too
     /// busy.
     pub shortfall: Option<Shortfall>,
+    /// Baud rate of the line in those seconds, unless it has none or a reply has disproved it.
+    pub baud_rate: Option<BaudRate>,
+}
+
+impl ScheduleStats {
+    /// Says in a sentence why the rate was not reached and what helps, or `None` without a
+    /// [`shortfall`](Self::shortfall).
+    pub fn explanation(&self) -> Option<String> {
+        Some(match self.shortfall? {
+            Shortfall::Line => self.explain_line(self.baud_rate?),
+            Shortfall::Sensor => {
+                "the sensor answers no faster, mostly once in a revolution of its \
+                                  motor. What helps: fewer scans"
+                    .to_owned()
+            }
+            Shortfall::Loss => format!(
+                "{} of the last polls brought no scan. What helps: check cable, plugs and power",
+                self.failed
+            ),
+        })
+    }
+
+    fn explain_line(&self, baud_rate: BaudRate) -> String {
+        let Self { window, rate, .. } = *self;
+        let carries = |window: Window, baud_rate| {
+            // With time for the sensor to answer.
+            rate.period().is_some_and(|period| window.wire_time(baud_rate) < period.mul_f64(0.95))
+        };
+        let cluster = (window.cluster_count() + 1..=99).find(|count| {
+            let clustered = window.with_cluster_count(*count);
+            clustered.is_ok_and(|clustered| carries(clustered, baud_rate))
+        });
+        let faster = BaudRate::ALL.into_iter().find(|faster| carries(window, *faster));
+        let millis = window.wire_time(baud_rate).as_millis();
+        let mut text = format!("a scan takes {millis} ms at {baud_rate} baud. What helps: ");
+        text.push_str("fewer scans or steps");
+        text.extend(cluster.map(|count| format!(", clusters of {count}")));
+        text.extend(faster.map(|faster| format!(", {faster} baud")));
+        text
+    }
 }
 
 /// Why fewer than 95 % of the requested scans arrive.
@@ -123,4 +163,27 @@ pub enum Shortfall {
     Sensor,
     /// Polls failed.
     Loss,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_possible_remedies_are_named() {
+        let explain = |hz| {
+            let (shortfall, baud_rate) = (Some(Shortfall::Line), Some(BaudRate::B19200));
+            let (window, rate) = (Window::DETECTION, Rate::hz(hz));
+            ScheduleStats { window, rate, reached: None, failed: 0, shortfall, baud_rate }
+                .explanation()
+                .unwrap_or_default()
+        };
+        assert_eq!(
+            explain(10.0),
+            "a scan takes 733 ms at 19200 baud. What helps: fewer scans or steps, clusters of 9, \
+             250000 baud"
+        );
+        // No baud rate carries 1000 scans a second.
+        assert!(explain(1000.0).ends_with("What helps: fewer scans or steps"));
+    }
 }

@@ -211,11 +211,11 @@ async fn a_rate_that_is_not_reached_is_logged_with_its_reason() {
     let usb = || Emulator::builder().revolution(Duration::from_millis(200));
     for (emulator, faults, reason) in [
         (usb(), Faults::none(), "the sensor answers no faster"),
-        (usb(), Faults::none().rate(0.5, Fault::Lost).seed(1), "replies are lost"),
+        (usb(), Faults::none().rate(0.5, Fault::Lost).seed(1), "polls brought no scan"),
         (
             Emulator::builder().baud_rate(BaudRate::B19200),
             Faults::none(),
-            "the line cannot keep up",
+            "a scan takes 733 ms at 19200 baud",
         ),
     ] {
         let log = Log::default();

@@ -189,7 +189,7 @@ fn an_impossible_rate_is_reported_with_a_remedy() {
     assert_eq!(scans(&output.stdout).len(), 6);
     assert_eq!(output.stderr.lines().count(), 1, "{}", output.stderr);
     assert!(output.stderr.contains("where 10 Hz was asked for"), "{}", output.stderr);
-    assert!(output.stderr.contains("--baud 250000"), "{}", output.stderr);
+    assert!(output.stderr.contains(", 250000 baud"), "{}", output.stderr);
 }
 
 #[test]

@@ -4,12 +4,13 @@ use std::fmt::Write;
 use std::time::Duration;
 
 use tokio::time::Instant;
+use tokio_scip::stats::ScheduleStats;
 use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, Stats, Window};
 
 use super::finding::{Finding, Verdict};
 use crate::format::listed;
 use crate::stream::jitter::Jitter;
-use crate::stream::rate_watch::{carries, sufficient_baud_rate};
+use crate::stream::rate_watch::schedule;
 
 /// Maximum fraction of polls without a scan. Any smaller loss is weak.
 const MAX_LOSS: f64 = 0.05;
@@ -28,6 +29,8 @@ pub(super) struct Measured {
     rate: Rate,
     asked: f64,
     scans: Vec<Seen>,
+    /// Why the rate is not reached, as the driver explains it.
+    shortfall: Option<String>,
     /// Statistics of the driver before and after the measurement.
     before: Stats,
     after: Stats,
@@ -63,12 +66,13 @@ impl Measured {
             }
         };
         let _ = tokio::time::timeout(duration, watch).await;
+        let shortfall = schedule(&sensor.stats(), window).and_then(ScheduleStats::explanation);
         drop(stream);
         // This request waits for the poll in flight, so that `after` counts its outcome.
         let _ = sensor.laser_on().await;
         let after = sensor.stats();
         let baud_rate = link_rate.filter(|_| !after.baud_rate_disproved);
-        Ok(Self { window, baud_rate, rate, asked, scans, before, after })
+        Ok(Self { window, baud_rate, rate, asked, scans, shortfall, before, after })
     }
 
     pub(super) fn steps(&self) -> Vec<Finding> {
@@ -138,16 +142,10 @@ impl Measured {
             true => Verdict::Failed,
             false => Verdict::Weak,
         };
-        let cause = match self.baud_rate {
-            Some(baud_rate) if !carries(self.window, self.rate, baud_rate) => {
-                let helps = match sufficient_baud_rate(self.window, self.rate) {
-                    Some(faster) => format!("--baud {faster} would do"),
-                    None => "fewer steps would help".to_owned(),
-                };
-                format!("a line at {baud_rate} baud carries {carried:.1}; {helps}")
-            }
-            _ if self.lost() > 0 => format!("{} polls brought no scan", self.lost()),
-            _ => "some revolutions of the motor brought no scan".to_owned(),
+        let cause = match &self.shortfall {
+            Some(explanation) => explanation.clone(),
+            None if self.lost() > 0 => format!("{} polls brought no scan", self.lost()),
+            None => "some revolutions of the motor brought no scan".to_owned(),
         };
         Finding::new("rate", verdict, format!("{text}: {cause}"))
     }

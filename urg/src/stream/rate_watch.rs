@@ -1,17 +1,14 @@
 //! Tells the user why a stream is slower than requested, and what to change. The driver
-//! measures the rate and finds the cause. A cause is repeated only if the rate was reached in
+//! measures the rate and explains the cause. A cause is repeated only if the rate was reached in
 //! between.
 
-use std::fmt::Write;
 use std::time::Duration;
 
 use tokio::time::Instant;
 use tokio_scip::stats::{ScheduleStats, Shortfall};
-use tokio_scip::{BaudRate, Endpoint, Rate, Scan, Sensor, Stats, Window};
+use tokio_scip::{Rate, Scan, Sensor, Stats, Window};
 
-use crate::format::listed;
 use crate::port::name::PortName;
-use crate::port::open::line_baud_rate;
 
 /// About the time over which the driver measures the rate.
 const MEASURED_OVER: Duration = Duration::from_secs(3);
@@ -22,8 +19,6 @@ pub(crate) struct RateWatch {
     window: Window,
     /// `None` for a recording, which plays at its own rate.
     asked: Option<Rate>,
-    /// Whether this program can set the port's baud rate: not behind a TCP bridge.
-    is_settable: bool,
     checked_at: Option<Instant>,
     /// Causes reported since the rate was last reached.
     reported: Vec<Shortfall>,
@@ -34,7 +29,6 @@ impl RateWatch {
         Self {
             window,
             asked: Some(rate).filter(|_| port.recorded().is_none()),
-            is_settable: !matches!(port, PortName::Endpoint(Endpoint::Tcp { .. })),
             checked_at: None,
             reported: Vec::new(),
         }
@@ -49,52 +43,15 @@ impl RateWatch {
         }
         self.checked_at = Some(now);
         let stats = sensor.stats();
-        let ScheduleStats { reached, shortfall, .. } = *schedule(&stats, self.window)?;
-        self.notice(rate, reached?, shortfall, line_baud_rate(sensor), &stats)
-    }
-
-    fn notice(
-        &mut self,
-        rate: Rate,
-        reached: f64,
-        shortfall: Option<Shortfall>,
-        baud_rate: Option<BaudRate>,
-        stats: &Stats,
-    ) -> Option<String> {
+        let schedule = schedule(&stats, self.window)?;
+        let reached = schedule.reached?;
         if rate.is_reached_by(reached) {
             self.reported.clear();
         }
-        let shortfall = shortfall.filter(|cause| !self.reported.contains(cause))?;
+        let shortfall = schedule.shortfall.filter(|cause| !self.reported.contains(cause))?;
         self.reported.push(shortfall);
-        let cause = match (shortfall, baud_rate) {
-            (Shortfall::Loss, _) => losses(stats),
-            (Shortfall::Line, Some(baud_rate)) => self.slow_line(rate, baud_rate),
-            _ => "the sensor answers no faster, one poll in each revolution of its motor".into(),
-        };
+        let cause = schedule.explanation()?;
         Some(format!("{reached:.1} scans a second, where {rate} was asked for: {cause}"))
-    }
-
-    fn slow_line(&self, rate: Rate, baud_rate: BaudRate) -> String {
-        let window = self.window;
-        let millis = window.wire_time(baud_rate).as_millis();
-        let mut text = format!(
-            "a scan of {window} takes {millis} ms at {baud_rate} baud. What helps: fewer steps"
-        );
-        let cluster = (window.cluster_count() + 1..=99).find(|count| {
-            let clustered = window.with_cluster_count(*count);
-            clustered.is_ok_and(|clustered| carries(clustered, rate, baud_rate))
-        });
-        // Writing to a `String` is infallible.
-        if let Some(cluster) = cluster {
-            let _ = write!(text, ", --cluster {cluster}");
-        }
-        if let Some(faster) = sufficient_baud_rate(window, rate) {
-            let _ = match self.is_settable {
-                true => write!(text, ", --baud {faster}"),
-                false => write!(text, ", {faster} baud at sensor and bridge"),
-            };
-        }
-        text
     }
 }
 
@@ -103,32 +60,9 @@ pub(crate) fn schedule(stats: &Stats, window: Window) -> Option<&ScheduleStats> 
     stats.schedules.iter().find(|schedule| schedule.window == window)
 }
 
-/// Checks whether a line at `baud_rate` carries `rate`, with time for the sensor to answer.
-pub(crate) fn carries(window: Window, rate: Rate, baud_rate: BaudRate) -> bool {
-    rate.period().is_some_and(|period| window.wire_time(baud_rate) < period.mul_f64(0.95))
-}
-
-/// Finds the lowest baud rate that carries `rate`.
-pub(crate) fn sufficient_baud_rate(window: Window, rate: Rate) -> Option<BaudRate> {
-    BaudRate::ALL.into_iter().find(|baud_rate| carries(window, rate, *baud_rate))
-}
-
-fn losses(stats: &Stats) -> String {
-    let malformed = stats.malformed.total();
-    let kinds = listed(&[
-        (stats.timeouts, "unanswered in time"),
-        (malformed, "malformed"),
-        (stats.refused, "refused"),
-    ]);
-    let failed = stats.timeouts + malformed + stats.refused;
-    format!(
-        "of {} polls {failed} brought no scan ({kinds}). What helps: check cable, plugs and power",
-        stats.polls
-    )
-}
-
 #[cfg(test)]
 mod tests {
+    use tokio_scip::BaudRate;
     use tokio_scip::scan::Pose;
     use urg_emulator::{Emulator, Fault, Faults};
 
@@ -160,46 +94,13 @@ mod tests {
             (
                 slow_line,
                 10.0,
-                "1.2 scans a second, where 10 Hz was asked for: a scan of steps 44..=725 takes \
-                 733 ms at 19200 baud. What helps: fewer steps, --cluster 9, --baud 250000",
+                "1.2 scans a second, where 10 Hz was asked for: a scan takes 733 ms at 19200 baud",
             ),
             (usb(), 12.0, "the sensor answers no faster"),
-            (lossy, 10.0, "unanswered in time"),
+            (lossy, 10.0, "of the last polls brought no scan"),
         ] {
             let notices = notices(emulator.build(), rate).await;
             assert!(notices.len() == 1 && notices[0].contains(expected), "{notices:?}");
         }
-    }
-
-    #[test]
-    fn only_possible_remedies_are_named() {
-        let watch = |is_settable| RateWatch {
-            is_settable,
-            ..RateWatch::new(&"emulated".parse().unwrap(), Window::DETECTION, Rate::UNLIMITED)
-        };
-        let text = watch(false).slow_line(Rate::hz(10.0), BaudRate::B19200);
-        assert!(text.ends_with("250000 baud at sensor and bridge"), "{text}");
-        // SCIP 1.1 has no baud rate for 1000 scans per second.
-        let text = watch(true).slow_line(Rate::hz(1000.0), BaudRate::B19200);
-        assert!(text.ends_with("What helps: fewer steps"), "{text}");
-    }
-
-    #[test]
-    fn a_cause_is_repeated_after_the_rate_was_reached() {
-        let rate = Rate::hz(10.0);
-        let mut watch = RateWatch::new(&"emulated".parse().unwrap(), Window::DETECTION, rate);
-        let mut stats = Stats::default();
-        (stats.polls, stats.timeouts, stats.malformed.echo) = (40, 3, 2);
-        let mut notice = |reached, shortfall| watch.notice(rate, reached, shortfall, None, &stats);
-        let loss = Some(Shortfall::Loss);
-        assert_eq!(
-            notice(7.0, loss).unwrap(),
-            "7.0 scans a second, where 10 Hz was asked for: of 40 polls 5 brought no scan \
-             (3 unanswered in time, 2 malformed). What helps: check cable, plugs and power"
-        );
-        assert_eq!(notice(7.0, loss), None);
-        assert!(notice(7.0, Some(Shortfall::Sensor)).is_some());
-        assert_eq!(notice(9.9, None), None);
-        assert!(notice(7.0, loss).is_some());
     }
 }
