@@ -9,8 +9,9 @@ use std::task::{Context, Poll, ready};
 use tokio::time::Instant;
 
 use super::super::failure::LinkError;
+use super::Transport;
+use super::budget::promptly;
 use super::pause::Pauses;
-use super::{Transport, promptly};
 use crate::port::PortHints;
 use crate::protocol::Text;
 use crate::{BaudRate, ErrorKind};

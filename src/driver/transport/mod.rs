@@ -3,29 +3,38 @@
 //!
 //! The codec finds a frame, and `pause` decides when to sleep while one arrives.
 
+mod budget;
+mod discard;
 mod greeting;
 mod link;
 mod pause;
+mod received;
 #[cfg(test)]
 pub(super) mod scripted_port;
 #[cfg(test)]
 mod tests;
+mod timer;
 
-use std::future::{Future, poll_fn};
+use std::future::poll_fn;
 use std::io;
-use std::pin::{Pin, pin};
-use std::task::{Context, Poll, Waker, ready};
+use std::pin::Pin;
+use std::task::{Context, Poll, ready};
 use std::time::{Duration, SystemTime};
 
-use bytes::{Buf, BufMut, BytesMut};
-use tokio::io::{AsyncReadExt, AsyncWrite};
-use tokio::task::coop::{consume_budget, has_budget_remaining, unconstrained};
-use tokio::time::{Instant, Sleep, sleep_until};
+use bytes::{BufMut, BytesMut};
+use tokio::io::AsyncWrite;
+use tokio::task::coop::consume_budget;
+use tokio::time::Instant;
 
+use self::budget::{poll_read, promptly};
 use self::greeting::Greeting;
 use self::pause::Pauses;
+use self::received::Beginning;
+pub(crate) use self::received::{ReceivedFrame, ReplyTimes};
+pub(crate) use self::timer::Timer;
+use self::timer::again_if_interrupted;
 use super::failure::LinkError;
-use crate::codec::{ExpectedReply, FoundFrame, ScipCodec, TERMINATOR};
+use crate::codec::{ExpectedReply, FoundFrame, ScipCodec};
 use crate::port::{Port, PortHints};
 
 /// Room for any reply of a sensor; the longest has 1,576 bytes. A little more, because a
@@ -34,13 +43,6 @@ use crate::port::{Port, PortHints};
 const READ_BUFFER_BYTES: usize = 1600;
 /// Room for any command, and the LF before it.
 const WRITE_BUFFER_BYTES: usize = 32;
-/// Number of interrupted reads in a row after which the port counts as quiet.
-const MAX_INTERRUPTED: usize = 16;
-/// Delay before a refused call is retried.
-const RETRY: Duration = Duration::from_millis(5);
-/// Length of one read when bytes are dropped.
-const SCRATCH_BYTES: usize = 512;
-
 /// Open port and its buffers. Never flushes the port: bytes leave without it, and the reply
 /// proves that they did. Flushing a serial port would block the thread until the port is
 /// drained.
@@ -100,36 +102,6 @@ pub(crate) struct Limits {
     pub(crate) bytes: u64,
 }
 
-/// Times of a command and its reply.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct ReplyTimes {
-    pub(crate) requested: Instant,
-    /// When the first byte was read.
-    pub(crate) began: Instant,
-    /// When the last byte was read.
-    pub(crate) received: Instant,
-    /// Wall-clock time when the first byte arrived.
-    pub(crate) stamp: SystemTime,
-    /// True if the reply comes from a recording: its time tells nothing about the motor.
-    pub(crate) is_replayed: bool,
-}
-
-/// Time of a reply's first byte.
-#[derive(Debug, Clone, Copy)]
-struct Beginning {
-    at: Instant,
-    stamp: SystemTime,
-    is_replayed: bool,
-}
-
-/// Frame received after a command. Dropping it removes it from the input.
-#[derive(Debug)]
-pub(crate) struct ReceivedFrame<'a> {
-    input: &'a mut BytesMut,
-    frame: FoundFrame,
-    pub(crate) times: ReplyTimes,
-}
-
 /// Why no frame was received.
 #[derive(Debug)]
 pub(crate) enum NoFrame {
@@ -174,32 +146,6 @@ impl Transport {
             interrupted,
             adjustable: false,
         }
-    }
-
-    /// Drops the bytes received since the last reply, because they are older than the next
-    /// command. Returns their number.
-    pub(crate) async fn discard_pending(&mut self) -> Result<u64, LinkError> {
-        if let Some(outcome) = self.try_discard_pending() {
-            return outcome;
-        }
-        // While this task yields, the runtime polls the system for new input.
-        tokio::task::yield_now().await;
-        let dropped = poll_fn(|cx| {
-            Poll::Ready(self.drop_bytes(|port, mut bytes| {
-                try_read(port, bytes).or_else(|| {
-                    match promptly(cx, |cx| poll_read(port, cx, &mut bytes)) {
-                        Poll::Ready(outcome) => Some(outcome),
-                        Poll::Pending => Some(Err(io::ErrorKind::WouldBlock.into())),
-                    }
-                })
-            }))
-        });
-        dropped.await.unwrap_or(Ok(0))
-    }
-
-    /// Does the same without waiting. Returns `None` if the port cannot be read so.
-    pub(crate) fn try_discard_pending(&mut self) -> Option<Result<u64, LinkError>> {
-        self.drop_bytes(try_read)
     }
 
     /// Sends `command` and returns the first frame: [`send`](Self::send) followed by
@@ -385,51 +331,10 @@ impl Transport {
         Poll::Ready(self.check_flood().map(|()| read))
     }
 
-    /// Drops the input, and the bytes that `read` returns until it would block. Repeats an
-    /// interrupted read. Returns the number of bytes, or `None` as soon as `read` returns `None`.
-    fn drop_bytes(
-        &mut self,
-        mut read: impl FnMut(&mut Box<dyn Port>, &mut [u8]) -> Option<io::Result<usize>>,
-    ) -> Option<Result<u64, LinkError>> {
-        let before = self.received - self.input.len() as u64;
-        let mut scratch = [0; SCRATCH_BYTES];
-        let mut interrupted = 0;
-        loop {
-            match read(&mut self.port, &mut scratch)? {
-                Ok(0) => return Some(Err(self.lost(None))),
-                Ok(read) => {
-                    let fresh = scratch.get(..read).unwrap_or_default();
-                    self.received += read as u64;
-                    self.greeting.add(fresh);
-                    if let Err(flood) = self.check_flood() {
-                        return Some(Err(self.lost(Some(flood))));
-                    }
-                }
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => break,
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {
-                    interrupted += 1;
-                    if interrupted == MAX_INTERRUPTED {
-                        break;
-                    }
-                }
-                Err(error) => return Some(Err(self.lost(Some(error)))),
-            }
-        }
-        self.clear_input();
-        // Without this, replies would use up the buffer and need two reads.
-        self.input.reserve(READ_BUFFER_BYTES);
-        Some(Ok(self.received - before))
-    }
-
     /// Fails if more bytes have arrived than may.
     fn check_flood(&self) -> io::Result<()> {
         let received = self.received - self.received_before;
         if received > self.limits.bytes { Err(flood(self.limits)) } else { Ok(()) }
-    }
-
-    fn clear_input(&mut self) {
-        self.input.clear();
-        self.codec.reset();
     }
 }
 
@@ -437,36 +342,6 @@ impl Drop for Transport {
     fn drop(&mut self) {
         if let Some(hints) = self.port.hints() {
             hints.discard_output();
-        }
-    }
-}
-
-impl ReceivedFrame<'_> {
-    pub(crate) fn frame(&self) -> FoundFrame<&[u8]> {
-        match self.frame {
-            FoundFrame::Reply(length) => {
-                FoundFrame::Reply(self.input.get(..length).unwrap_or_default())
-            }
-            FoundFrame::Overlong { bytes } => FoundFrame::Overlong { bytes },
-        }
-    }
-
-    /// Number of its bytes on the wire.
-    pub(crate) fn wire_len(&self) -> u64 {
-        self.frame.wire_len()
-    }
-}
-
-impl Drop for ReceivedFrame<'_> {
-    fn drop(&mut self) {
-        let FoundFrame::Reply(length) = self.frame else { return };
-        let end = length + TERMINATOR;
-        if end < self.input.len() {
-            self.input.advance(end);
-        } else {
-            // Cheaper than `advance`, and the next reply starts at the front of the buffer
-            // again.
-            self.input.clear();
         }
     }
 }
@@ -480,95 +355,4 @@ fn flood(limits: &Limits) -> io::Error {
         bytes / 1024
     );
     io::Error::new(io::ErrorKind::InvalidData, text)
-}
-
-/// Polls `work`, also without tokio's budget: once it is used up, a port that takes part returns
-/// `Pending` or `WouldBlock` even if it has bytes. The driver would take a flood for a quiet line,
-/// and a reply that is there for a missed deadline.
-fn promptly<T>(cx: &mut Context<'_>, mut work: impl FnMut(&mut Context<'_>) -> Poll<T>) -> Poll<T> {
-    let outcome = work(cx);
-    if outcome.is_ready() || has_budget_remaining() {
-        return outcome;
-    }
-    without_budget(cx, &mut work)
-}
-
-#[cold]
-fn without_budget<T>(
-    cx: &mut Context<'_>,
-    work: &mut dyn FnMut(&mut Context<'_>) -> Poll<T>,
-) -> Poll<T> {
-    pin!(unconstrained(poll_fn(work))).poll(cx)
-}
-
-/// Reads bytes, or returns `Pending` if the port has none.
-fn poll_read(
-    port: &mut Box<dyn Port>,
-    cx: &mut Context<'_>,
-    buffer: &mut impl BufMut,
-) -> Poll<io::Result<usize>> {
-    pin!(port.read_buf(buffer)).poll(cx)
-}
-
-/// Reads without waiting, also without tokio's budget. Returns `None` if the port cannot.
-fn try_read(port: &mut Box<dyn Port>, bytes: &mut [u8]) -> Option<io::Result<usize>> {
-    let tried = port.hints()?.try_read(bytes)?;
-    match &tried {
-        Err(error) if error.kind() == io::ErrorKind::WouldBlock && !has_budget_remaining() => {
-            try_read_without_budget(port, bytes)
-        }
-        _ => Some(tried),
-    }
-}
-
-#[cold]
-fn try_read_without_budget(
-    port: &mut Box<dyn Port>,
-    bytes: &mut [u8],
-) -> Option<io::Result<usize>> {
-    let hints = port.hints()?;
-    let mut cx = Context::from_waker(Waker::noop());
-    match without_budget(&mut cx, &mut |_| Poll::Ready(hints.try_read(bytes))) {
-        Poll::Ready(tried) => tried,
-        Poll::Pending => None,
-    }
-}
-
-/// Timer that is kept from one exchange to the next. With a new timer each time, tokio
-/// wakes its I/O driver by a system call, even from its own thread. Moving a timer to a
-/// later time costs next to nothing.
-#[derive(Debug, Default)]
-pub(crate) struct Timer(Option<Pin<Box<Sleep>>>);
-
-impl Timer {
-    pub(crate) async fn wait(&mut self, at: Instant) {
-        poll_fn(|cx| self.poll(cx, at)).await;
-    }
-
-    pub(crate) fn poll(&mut self, cx: &mut Context<'_>, at: Instant) -> Poll<()> {
-        let timer = self.0.get_or_insert_with(|| Box::pin(sleep_until(at)));
-        if timer.deadline() != at {
-            timer.as_mut().reset(at);
-        }
-        timer.as_mut().poll(cx)
-    }
-}
-
-/// Returns `Pending` after a call that a signal interrupted or that the port refused for
-/// now, and polls again after [`RETRY`]. Such a port has registered no waker, and may
-/// refuse forever.
-fn again_if_interrupted<T>(
-    outcome: Poll<io::Result<T>>,
-    timer: &mut Timer,
-    cx: &mut Context<'_>,
-) -> Poll<io::Result<T>> {
-    use io::ErrorKind::{Interrupted, WouldBlock};
-    match outcome {
-        Poll::Ready(Err(error)) if matches!(error.kind(), Interrupted | WouldBlock) => {
-            ready!(timer.poll(cx, Instant::now() + RETRY));
-            cx.waker().wake_by_ref();
-            Poll::Pending
-        }
-        outcome => outcome,
-    }
 }

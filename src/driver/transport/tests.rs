@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use tokio::io::AsyncWriteExt;
+use tokio::task::coop::has_budget_remaining;
 use tokio::time::{sleep, timeout};
 
 use super::super::failure::LinkError;

@@ -9,7 +9,8 @@ use tokio::time::{Instant, sleep};
 
 use super::super::super::failure::{ExchangeError, LinkError};
 use super::errors::{not_confirmed, on_behalf_of};
-use super::{ANY_SCAN, Session, accepted};
+use super::exchange::accepted;
+use super::{ANY_SCAN, Session};
 use crate::protocol::{Command, MalformedError};
 use crate::{BaudRate, ErrorKind};
 

@@ -3,7 +3,8 @@
 
 use super::super::super::failure::ExchangeError;
 use super::super::{Identity, MotorSpeed};
-use super::{Answer, Session, accepted};
+use super::Session;
+use super::exchange::{Answer, accepted};
 use crate::protocol::{Command, Text, Version};
 use crate::state::VersionReply;
 

@@ -2,7 +2,8 @@
 
 use super::super::super::failure::ExchangeError;
 use super::errors::{not_confirmed, on_behalf_of};
-use super::{Session, refusal};
+use super::Session;
+use super::exchange::refusal;
 use crate::protocol::Command;
 
 impl Session {

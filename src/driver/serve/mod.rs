@@ -1,0 +1,241 @@
+//! Serves an open session: requests, settings and polls in turn.
+
+mod polls;
+mod settings;
+
+use std::future::poll_fn;
+use std::task::Poll;
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use self::settings::is_unplugged;
+use super::failure::{ExchangeError, LinkError};
+use super::laser::Laser;
+use super::motor_clock::MotorClock;
+use super::ray_order::RayOrder;
+use super::request::{Abandoned, Request, RequestQueue, Responder};
+use super::schedule::Schedules;
+use super::session::Session;
+use super::transport::Timer;
+use crate::state::Telemetry;
+use crate::{BaudRate, ErrorKind};
+
+/// Why a session is no longer served.
+#[derive(Debug)]
+pub(crate) enum Stop {
+    /// A handle asked to close the driver.
+    Closed(Responder<()>),
+    /// All handles and streams are gone.
+    Abandoned,
+    /// The link failed.
+    Link(LinkError),
+}
+
+impl From<LinkError> for Stop {
+    fn from(failure: LinkError) -> Self {
+        Self::Link(failure)
+    }
+}
+
+impl From<Abandoned> for Stop {
+    fn from(Abandoned: Abandoned) -> Self {
+        Self::Abandoned
+    }
+}
+
+/// What is served next, one after another.
+#[derive(Debug, Clone, Copy)]
+enum Turn {
+    Request,
+    Setting,
+    Poll,
+}
+
+impl Turn {
+    const ALL: [Self; 3] = [Self::Request, Self::Setting, Self::Poll];
+
+    fn next(self) -> Self {
+        match self {
+            Self::Request => Self::Setting,
+            Self::Setting => Self::Poll,
+            Self::Poll => Self::Request,
+        }
+    }
+}
+
+/// Everything needed to serve, besides the session.
+pub(crate) struct Service<'a> {
+    pub(crate) queue: &'a mut RequestQueue,
+    pub(crate) schedules: &'a mut Schedules,
+    pub(crate) laser: &'a mut Laser,
+    /// Baud rate to restore.
+    pub(crate) baud_rate: &'a mut Option<BaudRate>,
+    pub(crate) telemetry: &'a Telemetry,
+    pub(crate) scan_time: Duration,
+    /// Silence after which an idle link is probed, if it is.
+    pub(crate) probe_interval: Option<Duration>,
+    /// On the sensor's own USB port.
+    pub(crate) motor_clock: Option<MotorClock>,
+    pub(crate) ray_order: RayOrder,
+    /// Number of times the sensor had been found again before this session.
+    pub(crate) reconnects: u64,
+    /// True if scans are polled, as the state reports it.
+    pub(crate) streaming: bool,
+    /// Wakes the driver for the next poll, probe or attempt.
+    pub(crate) timer: Timer,
+}
+
+impl Service<'_> {
+    /// Serves until there is a reason to stop.
+    pub(crate) async fn run(&mut self, session: &mut Session) -> Stop {
+        self.schedules.resume(Instant::now());
+        self.check_baud_rate(session.baud_rate());
+        let mut latest = Turn::Poll;
+        loop {
+            let outcome = self.serve_next(session, &mut latest).await;
+            if let Err(stop) = outcome {
+                return stop;
+            }
+        }
+    }
+
+    /// Serves one request, setting or poll in turn, so that none starves the others, or waits for one.
+    async fn serve_next(&mut self, session: &mut Session, latest: &mut Turn) -> Result<(), Stop> {
+        // Only bytes from the sensor show that the link is alive: some requests are answered
+        // without it.
+        let now = Instant::now();
+        let heard = session.heard_at();
+        let probe = self.probe_interval.zip(heard).map(|(interval, heard)| heard + interval);
+        // In doubt, the next command would begin with a probe anyway. Now there may be time for it.
+        if session.is_in_doubt() || probe.is_some_and(|due| due <= now) {
+            let outcome = Box::pin(self.probe(session)).await;
+            ignore_command_errors(outcome)?;
+        }
+        if self.laser.retry_at().is_none() && self.laser.is_due(self.queue.desired.laser) {
+            // A setting that is younger than the session comes before all polls.
+            Box::pin(self.apply_laser(session)).await?;
+        }
+        let polling = !self.schedules.is_empty() && !self.laser.is_off();
+        self.publish_streaming(polling);
+        let due = self.schedules.next_due().filter(|_| polling);
+        let poll_is_due = due.is_some_and(|due| due <= Instant::now());
+        for _ in Turn::ALL {
+            *latest = latest.next();
+            let is_served = match latest {
+                Turn::Request => match self.queue.pop()? {
+                    Some(request) => {
+                        Box::pin(self.serve_request(session, request)).await?;
+                        true
+                    }
+                    None => false,
+                },
+                Turn::Setting if self.has_setting() => {
+                    Box::pin(self.apply_setting(session)).await?
+                }
+                Turn::Poll if poll_is_due => {
+                    self.poll_due(session).await?;
+                    true
+                }
+                Turn::Setting | Turn::Poll => false,
+            };
+            if is_served {
+                return Ok(());
+            }
+        }
+        let wake = due.into_iter().chain(probe).chain(self.laser.retry_at()).min();
+        poll_fn(|cx| {
+            if let Poll::Ready(outcome) = session.poll_unasked(cx) {
+                return Poll::Ready(outcome.map_err(Stop::from));
+            }
+            if let Poll::Ready(outcome) = self.queue.poll_ready(cx) {
+                return Poll::Ready(outcome.map_err(Stop::from));
+            }
+            wake.map_or(Poll::Pending, |wake| self.timer.poll(cx, wake).map(Ok))
+        })
+        .await
+    }
+
+    async fn serve_request(&mut self, session: &mut Session, request: Request) -> Result<(), Stop> {
+        self.answer(session, request).await?;
+        // One of the streams may have been dropped since the last request.
+        self.schedules.drop_unread();
+        self.schedules.publish(self.telemetry);
+        Ok(())
+    }
+
+    /// Probes the sensor. If it measures although its laser should be off, it was reset: switches
+    /// the laser off again.
+    async fn probe(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
+        if session.probe().await? && self.laser.is_off() {
+            self.switch_laser(session, false, true).await?;
+        }
+        Ok(())
+    }
+
+    async fn answer(&mut self, session: &mut Session, request: Request) -> Result<(), Stop> {
+        match request {
+            Request::Version(responder) => {
+                // The version was read when the sensor was found.
+                let known = self.telemetry.version().ok_or(ErrorKind::Closed);
+                let _ = responder.send(known);
+                Ok(())
+            }
+            Request::Laser { on, responder } => {
+                let outcome = self.switch_laser(session, on, false).await;
+                Self::respond(responder, outcome)
+            }
+            Request::BaudRate { baud_rate, responder } => {
+                let outcome = self.change_baud_rate(session, baud_rate).await;
+                let desired = &mut self.queue.desired.baud_rate;
+                *desired =
+                    desired.filter(|desired| *desired != baud_rate || is_unplugged(&outcome));
+                Self::respond(responder, outcome)
+            }
+            Request::Scan { window, responder } => {
+                let outcome = self.scan(session, window).await;
+                Self::respond(responder, outcome)
+            }
+            Request::Subscribe { window, rate, depth, responder } => {
+                // Drops the stream if no caller waits for it.
+                let _ = responder.send(Ok(self.schedules.subscribe(window, rate, depth, None)));
+                Ok(())
+            }
+            Request::Close(responder) => Err(Stop::Closed(responder)),
+            Request::StreamDropped => Ok(()),
+        }
+    }
+
+    /// Answers a request. Also returns a reason to stop if the line failed.
+    fn respond<T>(responder: Responder<T>, outcome: Result<T, ExchangeError>) -> Result<(), Stop> {
+        let (answer, stop) = match outcome {
+            Ok(answer) => (Ok(answer), Ok(())),
+            Err(failure) => match command_error(failure) {
+                Ok(kind) => (Err(kind), Ok(())),
+                Err(failure) => (Err(failure.kind().clone()), Err(failure.into())),
+            },
+        };
+        // Drops the answer if no caller waits for it.
+        let _ = responder.send(answer);
+        stop
+    }
+
+    /// Updates the state only on a change, because a user may hold a borrow of it.
+    fn publish_streaming(&mut self, now: bool) {
+        if std::mem::replace(&mut self.streaming, now) != now {
+            self.telemetry.set_streaming(now);
+        }
+    }
+}
+
+/// Separates the error of a command from the failure of the link.
+fn command_error(failure: ExchangeError) -> Result<ErrorKind, LinkError> {
+    match failure {
+        ExchangeError::Command(kind) => Ok(kind),
+        ExchangeError::Link(failure) => Err(failure),
+    }
+}
+
+fn ignore_command_errors(outcome: Result<(), ExchangeError>) -> Result<(), Stop> {
+    outcome.or_else(|failure| Ok(command_error(failure).map(drop)?))
+}

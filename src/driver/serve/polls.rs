@@ -1,0 +1,162 @@
+//! Polls: takes the one that is due, and makes a scan of its reply.
+
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use super::super::failure::{ExchangeError, LinkError};
+use super::super::schedule::{DuePoll, Ended};
+use super::super::session::{Acquired, Session};
+use super::{Service, Stop, command_error};
+use crate::scan::{Scan, ScanMeta};
+use crate::{ErrorKind, Geometry, Window};
+
+impl Service<'_> {
+    pub(super) async fn scan(
+        &mut self,
+        session: &mut Session,
+        window: Window,
+    ) -> Result<Scan, ExchangeError> {
+        if self.laser.is_off() {
+            return Err(ExchangeError::Command(ErrorKind::LaserOff));
+        }
+        let mut tries = 2;
+        loop {
+            tries -= 1;
+            let mut acquired = session.acquire(window).await;
+            if let Err(failure) = acquired {
+                acquired = self.poll_again(session, window, failure).await;
+            }
+            match acquired {
+                Err(ExchangeError::Command(
+                    ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
+                )) if tries > 0 && !self.telemetry.is_closing() => {}
+                Ok(acquired) => return Ok(self.scan_from(window, acquired)),
+                Err(failure) => return Err(failure),
+            }
+        }
+    }
+
+    pub(super) async fn poll_due(&mut self, session: &mut Session) -> Result<(), Stop> {
+        let Some((poll, skipped)) = self.schedules.take_due(Instant::now()) else {
+            self.schedules.publish(self.telemetry);
+            return Ok(());
+        };
+        // Earlier, the session would have to confirm the reply, which costs a revolution.
+        if poll.rate.period().is_some()
+            && let Some(copies_end) = session.copies_end(poll.window)
+        {
+            self.timer.wait(copies_end).await;
+        }
+        let mut acquired = session.acquire(poll.window).await;
+        if let Err(failure) = acquired {
+            acquired = Box::pin(self.poll_again(session, poll.window, failure)).await;
+        }
+        let ended = match acquired {
+            Ok(acquired) => {
+                let scan = self.scan_from(poll.window, acquired);
+                self.schedules.deliver(poll, scan, session.believed_baud_rate())
+            }
+            Err(failure) => self.fail(poll, failure)?,
+        };
+        if ended.falls_short {
+            self.warn_of_shortfall(poll);
+        }
+        if ended.repeats || ended.newly_missed > 0 || skipped > 0 {
+            let mut stats = self.telemetry.stats();
+            stats.repeats += u64::from(ended.repeats);
+            stats.polls_skipped += skipped;
+            stats.missed = self.schedules.missed();
+        }
+        self.schedules.publish(self.telemetry);
+        Ok(())
+    }
+
+    #[cold]
+    fn fail(&mut self, poll: DuePoll, failure: ExchangeError) -> Result<Ended, LinkError> {
+        let kind = command_error(failure)?;
+        Ok(self.schedules.fail(poll, &self.telemetry.error(kind)))
+    }
+
+    /// Handles the failure of a poll. If the sensor refused because its laser is off, and this
+    /// driver did not switch it off, switches it on and polls once more. Otherwise records why there
+    /// is no scan.
+    async fn poll_again(
+        &mut self,
+        session: &mut Session,
+        window: Window,
+        failure: ExchangeError,
+    ) -> Result<Acquired, ExchangeError> {
+        let outcome = match failure {
+            ExchangeError::Command(refusal @ ErrorKind::Refused { .. })
+                if self.queue.desired.laser != Some(false) =>
+            {
+                self.poll_with_laser_on(session, window, refusal).await
+            }
+            failure => Err(failure),
+        };
+        if let Err(failure) = &outcome {
+            self.telemetry.fail(failure.kind().clone());
+        }
+        outcome
+    }
+
+    async fn poll_with_laser_on(
+        &mut self,
+        session: &mut Session,
+        window: Window,
+        refusal: ErrorKind,
+    ) -> Result<Acquired, ExchangeError> {
+        self.laser.switch_on(session, window, refusal.clone()).await?;
+        let again = session.acquire(window).await;
+        match &again {
+            Ok(_) => {
+                tracing::info!(%refusal, "switched the laser on");
+            }
+            Err(ExchangeError::Command(ErrorKind::Refused { .. })) => {
+                self.laser.record_refusal(window, None);
+            }
+            Err(_) => {}
+        }
+        again
+    }
+
+    /// Makes a scan of a reply, and learns from its arrival when the motor's revolutions end.
+    fn scan_from(&mut self, window: Window, acquired: Acquired) -> Scan {
+        self.laser.record_scan(window);
+        let Acquired { values, first, times } = acquired;
+        let clock = self.motor_clock.as_mut().filter(|_| !times.is_replayed);
+        let (revolution, motor) = clock.map_or_else(Default::default, |clock| {
+            (clock.observe(times.requested, times.began), clock.stats())
+        });
+        let mut stats = self.telemetry.stats();
+        stats.scanned(times.requested, times.received);
+        stats.motor = motor;
+        drop(stats);
+        let meta = ScanMeta {
+            sequence: 0,
+            requested_at: times.requested,
+            first_byte_at: times.began,
+            received_at: times.received,
+            stamp: times.stamp,
+            lateness: revolution.lateness,
+            postponed: Duration::ZERO,
+            repeat: false,
+            scan_time: revolution.period.unwrap_or(self.scan_time),
+            geometry: Geometry::URG_04LX,
+            reconnects: self.reconnects,
+        };
+        let mut scan = Scan::new(window, values, first, meta);
+        self.ray_order.arrange(&mut scan);
+        scan
+    }
+
+    /// Logs why a schedule falls short of its rate.
+    #[cold]
+    fn warn_of_shortfall(&mut self, poll: DuePoll) {
+        let Some(stats) = self.schedules.stats(poll) else { return };
+        let (DuePoll { window, rate }, reached) = (poll, stats.reached.unwrap_or_default());
+        let explanation = stats.explanation().unwrap_or_default();
+        tracing::warn!(%window, asked = %rate, reached, "{explanation}");
+    }
+}

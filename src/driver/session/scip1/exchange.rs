@@ -1,0 +1,215 @@
+//! One command and its reply: sends it, and judges the next frame.
+
+use std::time::Duration;
+
+use super::super::super::failure::ExchangeError;
+use super::super::super::observers::ReplyObservers;
+use super::super::super::transport::{Expected, NoFrame, ReceivedFrame, ReplyTimes};
+use super::errors::{bad_reply, no_reply, on_behalf_of, refused};
+use super::{LIMITS, Session};
+use crate::codec::{ExpectedReply, FoundFrame};
+use crate::protocol::{Command, MalformedError, Reply, ReplyError, Status};
+use crate::state::Telemetry;
+use crate::{BaudRate, ErrorKind, RawReply};
+
+/// Reply to a command.
+#[derive(Debug)]
+pub(super) struct Answer {
+    pub(super) reply: Reply,
+    pub(super) times: ReplyTimes,
+}
+
+/// Which other replies may still be on their way with the echo of a command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum EchoKind {
+    /// No other reply. If this one arrives too fast for its bytes, the baud rate is
+    /// wrong.
+    Unique,
+    /// The latest reply. If this one arrives too fast, it is a copy of the latest.
+    Repeated,
+    /// Any reply to this kind of command.
+    Common,
+}
+
+impl Session {
+    /// Sends `command`, and returns its reply, whatever its status.
+    pub(super) async fn command(&mut self, command: Command) -> Result<Answer, ExchangeError> {
+        self.settle().await.map_err(on_behalf_of(command))?;
+        self.exchange(command, EchoKind::Common).await
+    }
+
+    /// Like [`command`](Self::command), but sends the command once more if there was no
+    /// answer. Only for commands that may be sent twice.
+    pub(super) async fn command_twice(
+        &mut self,
+        command: Command,
+    ) -> Result<Answer, ExchangeError> {
+        match self.command(command).await {
+            Err(ExchangeError::Command(
+                ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
+            )) if !self.is_closing() => self.command(command).await,
+            outcome => outcome,
+        }
+    }
+
+    /// Sends `command` on a settled link, and judges the next frame: it is the answer, or
+    /// the command has failed. Waiting for a better frame would cost the whole deadline
+    /// each time a reply is damaged.
+    pub(super) async fn exchange(
+        &mut self,
+        command: Command,
+        echo: EchoKind,
+    ) -> Result<Answer, ExchangeError> {
+        self.is_settled = false;
+        let within = self.time_limit(&command, self.latency(&command));
+        let baud_rate = self.believed_baud_rate();
+        let bytes = command.bytes();
+        let expected = expected(&command, &bytes);
+        let received = match self.transport.ask(&bytes, &expected, within).await {
+            Ok(received) => received,
+            Err(failure) => return Err(record_silence(&self.telemetry, &command, failure)),
+        };
+        let (times, wire_len) = (received.times, received.wire_len());
+        match judge(&command, echo, received, baud_rate, &self.observers) {
+            Ok(reply) => {
+                self.is_settled = true;
+                if !reply.status().is_ok_for(&command) {
+                    self.record_refusal();
+                } else if echo == EchoKind::Unique {
+                    self.check_speed(&command, reply.status(), &times);
+                }
+                Ok(Answer { reply, times })
+            }
+            Err(error) => Err(self.record_malformed(command, error, wire_len)),
+        }
+    }
+
+    /// How long the sensor may take to begin its answer.
+    pub(super) fn latency(&self, command: &Command) -> Duration {
+        let usual = match command {
+            Command::Distances(_) => Duration::from_millis(500),
+            _ => Duration::from_secs(1),
+        };
+        self.reply_latency.unwrap_or(usual)
+    }
+
+    /// How long an exchange may take: `latency`, and the time of its bytes on the wire.
+    pub(super) fn time_limit(&self, command: &Command, latency: Duration) -> Duration {
+        let wire_time = |baud_rate| command.wire_time(baud_rate);
+        self.transport.baud_rate().map_or(Duration::ZERO, wire_time) + latency
+    }
+
+    #[cold]
+    fn record_refusal(&mut self) {
+        self.telemetry.stats().refused += 1;
+    }
+
+    #[cold]
+    fn record_malformed(
+        &mut self,
+        command: Command,
+        error: ReplyError,
+        wire_len: u64,
+    ) -> ExchangeError {
+        let mut stats = self.telemetry.stats();
+        stats.malformed.count(&error);
+        if !is_echoed(&error) {
+            stats.bytes_skipped += wire_len;
+        }
+        drop(stats);
+        let error = bad_reply(&command, error);
+        tracing::trace!(%error, "no answer");
+        ExchangeError::Command(error)
+    }
+
+    /// Checks whether the latest reply arrived faster than its bytes and the bytes of its `command`
+    /// can: then the port's baud rate is wrong. The command's echo must be unique, so that the
+    /// reply cannot be an older one.
+    pub(super) fn check_speed(&mut self, command: &Command, status: Status, times: &ReplyTimes) {
+        let Some(baud_rate) = self.believed_baud_rate() else { return };
+        let echo = command.bytes().len() + 1;
+        let bytes = echo + if status.is_ok() { command.reply_len() } else { echo + 3 };
+        if times.received - times.requested < baud_rate.wire_time(bytes) {
+            self.is_baud_rate_disproved = true;
+            self.telemetry.stats().baud_rate_disproved = true;
+            tracing::debug!("replies come faster than the baud rate can carry");
+        }
+    }
+}
+
+/// Returns the answer, or the error of `command` if the sensor refused it.
+pub(super) fn accepted(command: &Command, answer: Answer) -> Result<Answer, ExchangeError> {
+    let status = answer.reply.status();
+    if status.is_ok_for(command) { Ok(answer) } else { Err(refusal(command, status)) }
+}
+
+#[cold]
+pub(super) fn refusal(command: &Command, status: Status) -> ExchangeError {
+    let error = refused(command, status);
+    tracing::trace!(%error, "no answer");
+    ExchangeError::Command(error)
+}
+
+/// Compares a frame with `command`, and shows it to the observers.
+fn judge(
+    command: &Command,
+    echo: EchoKind,
+    received: ReceivedFrame<'_>,
+    baud_rate: Option<BaudRate>,
+    observers: &ReplyObservers,
+) -> Result<Reply, ReplyError> {
+    let times = &received.times;
+    let bytes = match received.frame() {
+        FoundFrame::Reply(bytes) => bytes,
+        FoundFrame::Overlong { bytes } => return Err(MalformedError::Overlong { bytes }.into()),
+    };
+    let outcome = Reply::parse(command, bytes);
+    observers.pass(|| RawReply {
+        command: outcome.as_ref().err().is_none_or(is_echoed).then_some(*command),
+        bytes,
+        received_at: times.received,
+        stamp: times.stamp,
+    });
+    if echo == EchoKind::Repeated
+        && outcome.is_ok()
+        && let Some(baud_rate) = baud_rate
+    {
+        check_beginning(command, times, baud_rate)?;
+    }
+    outcome
+}
+
+/// Fails if the reply began before the command had left the wire.
+#[cold]
+fn check_beginning(
+    command: &Command,
+    times: &ReplyTimes,
+    baud_rate: BaudRate,
+) -> Result<(), MalformedError> {
+    let least = baud_rate.wire_time(command.bytes().len() + 2);
+    let after = times.began - times.requested;
+    if after < least { Err(MalformedError::Early { after, least }) } else { Ok(()) }
+}
+
+/// What to expect after `command`, whose bytes are `bytes`.
+pub(super) fn expected(command: &Command, bytes: &[u8]) -> Expected {
+    Expected { reply: ExpectedReply::new(command, bytes), limits: &LIMITS }
+}
+
+#[cold]
+fn record_silence(telemetry: &Telemetry, command: &Command, failure: NoFrame) -> ExchangeError {
+    let failure = no_reply(command, failure);
+    if let ExchangeError::Command(error) = &failure {
+        telemetry.stats().timeouts += 1;
+        tracing::trace!(%error, "no answer");
+    }
+    failure
+}
+
+/// Returns true if a reply with this error began with its command.
+fn is_echoed(error: &ReplyError) -> bool {
+    !matches!(
+        error,
+        ReplyError::Foreign { .. } | ReplyError::Malformed(MalformedError::Overlong { .. })
+    )
+}

@@ -1,0 +1,78 @@
+use tokio::time::advance;
+
+use super::super::super::transport::ReplyTimes;
+use super::super::super::transport::scripted_port::ScriptedPort;
+use super::*;
+
+const NANOSECOND: Duration = Duration::from_nanos(1);
+
+/// Creates a session at 19,200 baud that receives these bytes in one piece.
+fn session(input: &[u8]) -> Session {
+    let (reads, baud_rate) = ([Ok(input.to_vec())].into(), Some(BaudRate::B19200));
+    let port = ScriptedPort { reads, baud_rate, ..ScriptedPort::default() };
+    let telemetry = Arc::new(Telemetry::new(None));
+    Session::new(Box::new(port), None, Leftovers::default(), Arc::default(), telemetry)
+}
+
+#[tokio::test]
+async fn an_early_reply_disproves_the_baud_rate() {
+    let refused = Status::new(b'6');
+    let full = Command::Distances(Window::FULL);
+    // The bytes of the command and its reply, and their time.
+    for (command, status, wire) in [
+        (Command::LaserOff, Status::OK, 4_687_500),
+        (full, Status::OK, 826_041_666),
+        // A refusal has its echo, a status and two LFs: 10 and 13 bytes.
+        (full, refused, 11_979_166),
+    ] {
+        for (early, is_disproved) in [(Duration::ZERO, false), (NANOSECOND, true)] {
+            let mut session = session(b"");
+            let began = Instant::now();
+            let times = ReplyTimes {
+                requested: began,
+                began,
+                received: began + Duration::from_nanos(wire) - early,
+                stamp: std::time::SystemTime::now(),
+                is_replayed: false,
+            };
+            session.check_speed(&command, status, &times);
+            assert_eq!(session.is_baud_rate_disproved, is_disproved, "{command}");
+            assert_eq!(session.telemetry.stats().baud_rate_disproved, is_disproved);
+            assert_eq!(session.believed_baud_rate().is_none(), is_disproved);
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_time_limit_includes_the_wire() {
+    let (session, latency) = (session(b""), Duration::from_millis(100));
+    // 3 bytes and 6 bytes of 520.8 us, and 10 and 1,576.
+    for (command, wire) in
+        [(Command::LaserOff, 4_687_500), (Command::Distances(Window::FULL), 826_041_666)]
+    {
+        let limit = Duration::from_nanos(wire) + latency;
+        assert_eq!(session.time_limit(&command, latency), limit);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_copy_may_come_soon_after_a_reply() {
+    let mut session = session(b"L0\n0\n\n");
+    assert!(!session.may_be_copied(), "there is nothing to copy");
+    session.exchange(Command::LaserOff, EchoKind::Common).await.unwrap();
+    advance(COPY_TIME - NANOSECOND).await;
+    assert!(session.may_be_copied());
+    advance(NANOSECOND).await;
+    assert!(!session.may_be_copied());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_copy_that_waits_in_the_port_answers_no_command() {
+    let mut session = session(b"L0\n0\n\n");
+    session.exchange(Command::LaserOff, EchoKind::Common).await.unwrap();
+    let copy =
+        ScriptedPort { reads: [Ok(b"L0\n0\n\n".to_vec())].into(), ..ScriptedPort::default() };
+    session.transport = Transport::new(Box::new(copy), &LIMITS, false);
+    assert!(!session.is_in_doubt());
+    assert!(session.command(Command::LaserOff).await.is_err());
+}

@@ -1,0 +1,68 @@
+//! [`ReceivedFrame`]: a frame where it lies in the input, with its times.
+
+use std::time::SystemTime;
+
+use bytes::{Buf, BytesMut};
+use tokio::time::Instant;
+
+use crate::codec::{FoundFrame, TERMINATOR};
+
+/// Times of a command and its reply.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ReplyTimes {
+    pub(crate) requested: Instant,
+    /// When the first byte was read.
+    pub(crate) began: Instant,
+    /// When the last byte was read.
+    pub(crate) received: Instant,
+    /// Wall-clock time when the first byte arrived.
+    pub(crate) stamp: SystemTime,
+    /// True if the reply comes from a recording: its time tells nothing about the motor.
+    pub(crate) is_replayed: bool,
+}
+
+/// Time of a reply's first byte.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Beginning {
+    pub(super) at: Instant,
+    pub(super) stamp: SystemTime,
+    pub(super) is_replayed: bool,
+}
+
+/// Frame received after a command. Dropping it removes it from the input.
+#[derive(Debug)]
+pub(crate) struct ReceivedFrame<'a> {
+    pub(super) input: &'a mut BytesMut,
+    pub(super) frame: FoundFrame,
+    pub(crate) times: ReplyTimes,
+}
+
+impl ReceivedFrame<'_> {
+    pub(crate) fn frame(&self) -> FoundFrame<&[u8]> {
+        match self.frame {
+            FoundFrame::Reply(length) => {
+                FoundFrame::Reply(self.input.get(..length).unwrap_or_default())
+            }
+            FoundFrame::Overlong { bytes } => FoundFrame::Overlong { bytes },
+        }
+    }
+
+    /// Number of its bytes on the wire.
+    pub(crate) fn wire_len(&self) -> u64 {
+        self.frame.wire_len()
+    }
+}
+
+impl Drop for ReceivedFrame<'_> {
+    fn drop(&mut self) {
+        let FoundFrame::Reply(length) = self.frame else { return };
+        let end = length + TERMINATOR;
+        if end < self.input.len() {
+            self.input.advance(end);
+        } else {
+            // Cheaper than `advance`, and the next reply starts at the front of the buffer
+            // again.
+            self.input.clear();
+        }
+    }
+}
