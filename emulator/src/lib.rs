@@ -57,6 +57,7 @@ mod faults;
 mod handle;
 mod journal;
 mod link;
+mod models;
 mod motor;
 mod playback;
 mod random;
@@ -73,6 +74,7 @@ pub use self::faults::{Fault, Faults, FaultsError};
 pub use self::handle::Emulator;
 pub use self::journal::{Counts, Received, SentScan, Verdict};
 pub use self::link::Link;
+pub use self::models::Model;
 pub use self::playback::{ReplayPace, Script};
 pub use self::scip::{EmptyCommand, Firmware, Mode, RepeatedLaser};
 #[cfg(all(unix, feature = "pty"))]

@@ -11,6 +11,7 @@ use tokio::time::Instant;
 
 use super::faults::{Aftermath, Delivery, Fault, FaultInjector, Faults};
 use super::journal::{Journal, SentScan};
+use super::models::Model;
 use super::motor::Motor;
 use super::playback::{NextReply, Playback};
 use super::scip::{
@@ -18,7 +19,7 @@ use super::scip::{
 };
 use super::timing::{DeviceTiming, Pace};
 use super::wire::{Transmitter, byte_time, garble};
-use super::world::{NON_MEASURABLE, STEPS, World, WorldTime};
+use super::world::{World, WorldTime};
 use tokio_scip::BaudRate;
 
 /// Number of commands that wait to be served; further ones are dropped. The input buffer
@@ -266,7 +267,8 @@ impl TimedDevice {
         let revolution = self.motor.finished(at).saturating_sub(1);
         let (begin, end) = (self.motor.end(revolution), self.motor.end(revolution + 1));
         let (at, period) = (end.duration_since(self.powered_at), end.duration_since(begin));
-        WorldTime { revolution, request: self.journal.counts.scans, at, period }
+        let geometry = Model::Urg04lx.geometry(false);
+        WorldTime { revolution, request: self.journal.counts.scans, at, period, geometry }
     }
 
     fn handle_event(&mut self, at: Instant) {
@@ -389,7 +391,7 @@ impl TimedDevice {
     /// Sends an unsolicited scan, as in SCIP 2.
     fn stream_scan(&mut self, at: Instant) {
         let time = self.world_time(at);
-        let mut values = [NON_MEASURABLE; STEPS];
+        let mut values = vec![time.geometry.codes.outside(); time.geometry.steps()];
         self.world.measure(time, &mut values);
         let window = values.get(44..=725).unwrap_or_default();
         let frame = scip2_scan(window, time.at.as_millis() as u64);

@@ -111,7 +111,7 @@ async fn a_cluster_has_its_smallest_value() {
         *code = 64 * step as u32 % 4096;
     }
     codes[3] = 7;
-    let mut link = instant_sensor().world(Fixed(codes)).build().link();
+    let mut link = instant_sensor().world(Fixed::new(codes)).build().link();
     // The values of steps 2 to 6 are 128, 7, 256, 320 and 384.
     for (command, data) in [
         ("G00200601", "2007405060"),

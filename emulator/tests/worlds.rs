@@ -9,12 +9,15 @@ use urg_emulator::{
 
 use super::ask;
 
+/// Values of a URG-04LX.
+type Sight = [u32; STEPS];
+
 /// Returns the values of a world in a sensor's first revolutions, ten a second.
-fn measured(mut room: impl World + 'static, count: usize) -> Vec<Values> {
+fn measured(mut room: impl World + 'static, count: usize) -> Vec<Sight> {
     let (sender, receiver) = std::sync::mpsc::channel();
     let world = move |time: WorldTime, codes: &mut Values| {
         room.measure(time, codes);
-        sender.send(*codes).unwrap();
+        sender.send(Sight::try_from(&*codes).unwrap()).unwrap();
     };
     let runtime =
         tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
@@ -92,7 +95,7 @@ fn the_same_seed_gives_the_same_scans() {
 
 #[test]
 fn a_room_is_the_same_on_every_machine() {
-    let checksum = |scans: Vec<Values>| {
+    let checksum = |scans: Vec<Sight>| {
         scans.iter().flatten().fold(0_u64, |sum, &value| {
             sum.wrapping_mul(0x0100_0000_01B3).wrapping_add(u64::from(value))
         })
@@ -109,7 +112,7 @@ fn a_room_is_the_same_on_every_machine() {
 fn sensors_at_two_places_measure_the_same_walls() {
     let room = || Room::sized(3, 5000, 4400, 0);
     // Places are in the room's frame, in metres.
-    let places = |values: &Values, pose: Pose| -> Vec<(f64, f64)> {
+    let places = |values: &Sight, pose: Pose| -> Vec<(f64, f64)> {
         let measured = values.iter().enumerate().filter(|(_, value)| **value >= 20);
         let place = |(step, &value): (usize, &u32)| {
             let angle = (step as f64 - 384.0) * std::f64::consts::TAU / 1024.0;
@@ -206,7 +209,7 @@ fn a_person_walks_as_described() {
     let walk = Walk::new((1.0, -1.0), (1.0, 1.0)).starting_at(Duration::from_secs(2)).speed(1.0);
     assert_eq!(walk.duration(), Duration::from_secs(2));
     let scans = measured(Scene::new(7).person(walk), 60);
-    let place = |values: &Values| {
+    let place = |values: &Sight| {
         let steps: Vec<usize> = (44..=725).filter(|&step| values[step] >= 20).collect();
         (!steps.is_empty()).then(|| steps.iter().sum::<usize>() / steps.len())
     };

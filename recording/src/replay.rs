@@ -56,7 +56,7 @@ struct Replies {
     /// Log time of the first reply.
     began: SystemTime,
     /// Latest value of each step.
-    memory: Box<Values>,
+    memory: Vec<u32>,
     /// First error of reading the file.
     failure: Option<RecordingError>,
 }
@@ -70,7 +70,7 @@ impl Replies {
             next: None,
             stamp: SystemTime::UNIX_EPOCH,
             began: SystemTime::UNIX_EPOCH,
-            memory: Box::new([UNKNOWN; urg_emulator::STEPS]),
+            memory: vec![UNKNOWN; urg_emulator::STEPS],
             failure: None,
         };
         replies.read();
@@ -166,6 +166,6 @@ impl Script for Replies {
     }
 
     fn measure(&self, values: &mut Values) {
-        *values = *self.memory;
+        values.iter_mut().zip(&self.memory).for_each(|(slot, value)| *slot = *value);
     }
 }

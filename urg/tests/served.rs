@@ -25,7 +25,7 @@ pub(crate) async fn held(seed: u64) -> HashMap<Vec<u64>, u64> {
     let mut room = Room::new(seed);
     let world = move |mut time: WorldTime, codes: &mut Values| {
         for revolution in 0..1500_u32 {
-            let mut codes: Values = [19; STEPS];
+            let mut codes = [19; STEPS];
             time.revolution = revolution.into();
             time.at = REVOLUTION * (revolution + 1);
             room.measure(time, &mut codes);

@@ -3,7 +3,8 @@
 
 use super::command::{HostCommand, Mistake};
 use super::encode;
-use crate::world::{NON_MEASURABLE, STEPS, Values};
+use crate::models::Model;
+use crate::world::Values;
 use tokio_scip::BaudRate;
 
 /// Firmware that an emulated sensor plays. Both know only SCIP 1.1.
@@ -127,7 +128,8 @@ impl Device {
             HostCommand::BaudRate(baud_rate) => self.set_baud_rate(line, baud_rate),
             HostCommand::Scan { .. } if !self.is_laser_on => status(line, b'6'),
             HostCommand::Scan { start, end, cluster } => {
-                let mut values = [NON_MEASURABLE; STEPS];
+                let geometry = Model::Urg04lx.geometry(false);
+                let mut values = vec![geometry.codes.outside(); geometry.steps()];
                 measure(&mut values);
                 (self.distances(line, &values, start, end, cluster), Effect::Scan)
             }
@@ -205,12 +207,12 @@ impl Device {
             usize::from(end.saturating_add_signed(self.miscount.into()) + 1).saturating_sub(first);
         // A miscount may reach past the last step. Those points are not measurable.
         let mut window = values.get(first..).unwrap_or_default().to_vec();
-        window.resize(points, NON_MEASURABLE);
+        let missing = Model::Urg04lx.geometry(false).codes.outside();
+        window.resize(points, missing);
         if cluster > 1 {
             // The minimum over raw values: an error code is less than any distance (p. 6).
             let groups = window.chunks(cluster.into());
-            window =
-                groups.map(|group| group.iter().copied().min().unwrap_or(NON_MEASURABLE)).collect();
+            window = groups.map(|group| group.iter().copied().min().unwrap_or(missing)).collect();
         }
         encode::distances(echo, &window)
     }

@@ -16,22 +16,20 @@ mod walk;
 use std::fmt;
 use std::time::Duration;
 
+use crate::models::Geometry;
+
 pub use self::path::Path;
 pub use self::room::Room;
 pub use self::scene::Scene;
 pub use self::sparse::Sparse;
 pub use self::walk::Walk;
 
-/// Number of steps in a full scan, 0..=768.
+/// Number of steps in a full scan of a URG, 0..=768.
 pub const STEPS: usize = 769;
 
-/// One 12-bit value (0..=4095) for each step, at the step's index: a distance in
-/// millimetres from 20 on, an error code from 0 to 19 (C-42-3320-A p. 7).
-pub type Values = [u32; STEPS];
-
-/// Error code 19, "Non-Measurable Distance": what a sensor sends for the steps
-/// outside its detection window, 0..=43 and 726..=768.
-pub(crate) const NON_MEASURABLE: u32 = 19;
+/// One value for each step, at the step's index: a distance in millimetres, or a code for no
+/// distance. A URG has 769 steps, and error codes from 0 to 19 (C-42-3320-A p. 7).
+pub type Values = [u32];
 
 /// When a world is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,14 +45,16 @@ pub struct WorldTime {
     pub at: Duration,
     /// Duration of that revolution.
     pub period: Duration,
+    /// What the sensor measures.
+    pub(crate) geometry: Geometry,
 }
 
 impl WorldTime {
-    /// Time from power-up until the ray of a step was measured: a revolution ends at the rear,
-    /// step 896.
+    /// Time from power-up until the ray of a step was measured: the revolution of a URG ends at
+    /// the rear, step 896.
     pub fn at_step(&self, step: usize) -> Duration {
-        let until_end = 896_usize.saturating_sub(step) as u32;
-        self.at.saturating_sub(self.period * until_end / 1024)
+        let until_end = usize::from(self.geometry.turn).saturating_sub(step) as u32;
+        self.at.saturating_sub(self.period * until_end / self.geometry.resolution.into())
     }
 }
 
@@ -78,8 +78,8 @@ impl WorldTime {
 ///     .build();
 /// ```
 pub trait World: Send {
-    /// Fills in the value of each step. All values are 19 ("non-measurable") before the
-    /// call. Only the low 12 bits are sent.
+    /// Fills in the value of each step. Before the call, all values say that the step is not
+    /// measured: 19 for a URG. Only the low 12 bits are sent.
     fn measure(&mut self, time: WorldTime, values: &mut Values);
 }
 
@@ -91,12 +91,17 @@ impl<F: FnMut(WorldTime, &mut Values) + Send> World for F {
 
 /// World with the same values at any time.
 #[derive(Clone, PartialEq, Eq)]
-pub struct Fixed(pub Values);
+pub struct Fixed(Vec<u32>);
 
 impl Fixed {
+    /// Creates a world with these values from step 0 on. The last one repeats.
+    pub fn new(values: impl Into<Vec<u32>>) -> Self {
+        Self(values.into())
+    }
+
     /// Creates a world with the same value at every step.
     pub fn filled(value: u32) -> Self {
-        Self([value; STEPS])
+        Self(vec![value])
     }
 }
 
@@ -108,6 +113,7 @@ impl fmt::Debug for Fixed {
 
 impl World for Fixed {
     fn measure(&mut self, _: WorldTime, values: &mut Values) {
-        *values = self.0;
+        let last = self.0.last().into_iter().cycle();
+        values.iter_mut().zip(self.0.iter().chain(last)).for_each(|(slot, value)| *slot = *value);
     }
 }

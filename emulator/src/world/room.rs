@@ -15,7 +15,7 @@ const WALK_MM_PER_SECOND: f64 = 700.0;
 
 /// Rectangular room with furniture, a doorway, a window, and people who walk.
 ///
-/// Most points are distances. The others are error codes as a real sensor sends them: 19
+/// Most points are distances. The others are codes as a real sensor sends them, of a URG: 19
 /// outside steps 44..=725; 16 beyond 4,094 mm, 6 beyond 5.6 m, 0 beyond 12 m; 1 to 5 where
 /// little light is reflected; 9 for one point in 300; 7 for a point between two others
 /// without a distance.

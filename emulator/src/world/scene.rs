@@ -8,7 +8,7 @@ use super::path::Path;
 use super::surface::{Echo, Surface, nearest};
 use super::sweep::{Noise, sweep};
 use super::walk::Walk;
-use super::{STEPS, Values, World, WorldTime};
+use super::{Values, World, WorldTime};
 
 /// Number of steps, 1.6 ms, for which everything stands still: a person moves by a millimetre.
 const STILL: usize = 16;
@@ -127,7 +127,7 @@ impl World for Scene {
             let at = time.at_step(step + STILL / 2);
             self.moving.iter().flat_map(move |moving| moving.surfaces(at)).collect::<Vec<_>>()
         };
-        let moving: Vec<_> = (0..STEPS).step_by(STILL).map(moving).collect();
+        let moving: Vec<_> = (0..values.len()).step_by(STILL).map(moving).collect();
         sweep(self.noise, time, values, |step, direction| {
             let moving = moving.get(step / STILL).into_iter().flatten();
             let surfaces = self.surfaces.iter().chain(moving);

@@ -1,12 +1,7 @@
 //! [`Sparse`]: another world with points missing, as in scans of real sensors.
 
-use super::sweep::WINDOW;
 use super::{Values, World, WorldTime};
 use crate::random::{fraction, mix};
-
-/// Error codes in the order of their frequency in captures of a real URG-04LX, each with
-/// the cumulative fraction of the runs.
-const CODES: [(u32, f64); 4] = [(0, 0.40), (6, 0.70), (16, 0.88), (7, 1.0)];
 
 /// Another world, with error codes in place of some of its distances.
 ///
@@ -40,18 +35,19 @@ impl<W: World> World for Sparse<W> {
         self.world.measure(time, values);
         // Each block of steps misses one run of neighbours, so that the fraction is the
         // same in every part of the scan.
-        let (mut block, mut first) = (0, *WINDOW.start());
-        while first <= *WINDOW.end() {
+        let (geometry, window) = (time.geometry, time.geometry.window());
+        let (mut block, mut first) = (0, *window.start());
+        while first <= *window.end() {
             let drawn = mix(self.seed ^ mix(block + 1));
             let length = 8 << (drawn % 3);
             let missing = self.share * length as f64 + fraction(mix(drawn));
             let missing = (missing as usize).min(length);
             // Divided in 64 bits, so that 32-bit systems draw the same numbers.
             let start = ((drawn >> 8) % (length - missing + 1) as u64) as usize;
-            let code = code(fraction(mix(drawn ^ 1)));
+            let code = geometry.codes.missing(fraction(mix(drawn ^ 1)));
             for step in first + start..first + start + missing {
-                if let Some(value) = values.get_mut(step).filter(|_| WINDOW.contains(&step))
-                    && *value >= 20
+                if let Some(value) = values.get_mut(step).filter(|_| window.contains(&step))
+                    && geometry.is_distance(*value)
                 {
                     *value = code;
                 }
@@ -71,19 +67,17 @@ impl<W> Sparse<W> {
             return;
         }
         let revolution = mix(self.seed ^ mix(time.revolution));
-        let before = *values;
-        for (step, value) in values.iter_mut().enumerate().filter(|(step, _)| WINDOW.contains(step))
+        let (geometry, before) = (time.geometry, values.to_vec());
+        let window = geometry.window();
+        for (step, value) in values.iter_mut().enumerate().filter(|(step, _)| window.contains(step))
         {
-            let is_missing = |step: usize| before.get(step).is_none_or(|&value| value < 20);
+            let is_missing =
+                |step: usize| before.get(step).is_none_or(|&value| !geometry.is_distance(value));
             let is_at_end = is_missing(step + 1) || is_missing(step.wrapping_sub(1));
             let noise = mix(revolution.wrapping_add(step as u64));
-            if *value >= 20 && is_at_end && noise.is_multiple_of(3) {
-                *value = 7;
+            if geometry.is_distance(*value) && is_at_end && noise.is_multiple_of(3) {
+                *value = geometry.codes.flickering();
             }
         }
     }
-}
-
-fn code(drawn: f64) -> u32 {
-    CODES.iter().find(|(_, up_to)| drawn < *up_to).map_or(0, |(code, _)| *code)
 }

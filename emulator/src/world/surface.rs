@@ -19,8 +19,8 @@ pub(super) struct Echo {
 }
 
 impl Echo {
-    /// No surface, as through a window.
-    pub(super) const NONE: Self = Self { distance: 22_000.0, light: 1.0 };
+    /// No surface, as through a window: farther than any sensor measures.
+    pub(super) const NONE: Self = Self { distance: 1e6, light: 1.0 };
 }
 
 /// Object with a surface.

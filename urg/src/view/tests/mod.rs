@@ -24,7 +24,7 @@ use crate::port::named::{NamedPort, PlacedPort};
 type Sight = [u32; STEPS];
 
 fn seen(sight: Sight) -> Emulator {
-    let world = move |_: WorldTime, codes: &mut Values| *codes = sight;
+    let world = move |_: WorldTime, codes: &mut Values| codes.copy_from_slice(&sight);
     Emulator::builder().usb().world(world).build()
 }
 
