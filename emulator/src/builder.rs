@@ -5,25 +5,41 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
+use super::body::Body;
+use super::clock::Clock;
+use super::device::{Device, Mode};
 use super::faults::{FaultInjector, Faults};
 use super::handle::Emulator;
 use super::journal::Journal;
+use super::models::Model;
 use super::motor::Motor;
 use super::playback::{Playback, ReplayPace, Script};
-use super::scip::{Device, EmptyCommand, Firmware, Mode, RepeatedLaser};
+use super::scip1::{Dialect, EmptyCommand, Firmware, RepeatedLaser};
+use super::scip2::{Quirk, Session};
+use super::source::Source;
 use super::timed_device::TimedDevice;
 use super::timing::{DeviceTiming, LONGEST, Pace};
 use super::world::{Room, World};
 use tokio_scip::BaudRate;
 
+/// Time of a byte at 100 Mbit/s.
+const ETHERNET_BYTE: Duration = Duration::from_nanos(80);
+
 /// Builder of an [`Emulator`]. Each method documents its default.
 #[must_use = "a builder does nothing until `build`"]
 pub struct EmulatorBuilder {
-    device: Device,
+    body: Body,
+    dialect: Dialect,
+    session: Session,
+    mode: Mode,
+    laser: Option<bool>,
     is_intact: bool,
     timing: DeviceTiming,
-    revolution: Duration,
+    pace: Option<Pace>,
+    frame: Option<Duration>,
+    revolution: Option<Duration>,
     drift: f64,
+    clock: (Duration, f64),
     world: Option<Box<dyn World>>,
     playback: Option<Playback>,
     faults: Faults,
@@ -34,7 +50,7 @@ pub struct EmulatorBuilder {
 impl fmt::Debug for EmulatorBuilder {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("EmulatorBuilder")
-            .field("device", &self.device)
+            .field("body", &self.body)
             .field("timing", &self.timing)
             .field("revolution", &self.revolution)
             .field("drift", &self.drift)
@@ -47,17 +63,18 @@ impl fmt::Debug for EmulatorBuilder {
 impl Default for EmulatorBuilder {
     fn default() -> Self {
         Self {
-            device: Device {
-                firmware: Firmware::default(),
-                empty_command: EmptyCommand::default(),
-                repeated_laser: RepeatedLaser::default(),
+            body: Body {
+                model: Model::default(),
                 serial_number: "H0713090".to_owned(),
                 version_lines: None,
                 miscount: 0,
-                mode: Mode::default(),
                 is_laser_on: true,
                 baud_rate: None,
             },
+            dialect: Dialect::default(),
+            session: Session::default(),
+            mode: Mode::default(),
+            laser: None,
             is_intact: false,
             timing: DeviceTiming {
                 pace: Pace::default(),
@@ -65,10 +82,13 @@ impl Default for EmulatorBuilder {
                 boot: Duration::ZERO,
                 frame: Duration::ZERO,
                 stray_byte: true,
-                instant_line: false,
+                byte_time: None,
             },
-            revolution: Duration::from_millis(100),
+            pace: None,
+            frame: None,
+            revolution: None,
             drift: 0.0,
+            clock: (Duration::ZERO, 0.0),
             world: None,
             playback: None,
             faults: Faults::none(),
@@ -93,28 +113,40 @@ impl Default for Emulator {
 }
 
 impl EmulatorBuilder {
-    /// Sets the firmware to play. Default: [`Firmware::V3`].
+    /// Sets the model to play, which the other defaults depend on. Default: [`Model::Urg04lx`].
+    pub fn model(mut self, model: Model) -> Self {
+        self.body.model = model;
+        self
+    }
+
+    /// Adds a way in which some sensors depart from the text. Default: none.
+    pub fn quirk(mut self, quirk: Quirk) -> Self {
+        self.session.quirks.push(quirk);
+        self
+    }
+
+    /// Sets the firmware of a URG-04LX. Default: [`Firmware::V3`].
     pub fn firmware(mut self, firmware: Firmware) -> Self {
-        self.device.firmware = firmware;
+        self.dialect.firmware = firmware;
         self
     }
 
-    /// Sets the serial number in the reply to `V`. Default: `H0713090`.
+    /// Sets the serial number in the reply to `V` and `VV`. Default: `H0713090`.
     pub fn serial_number(mut self, serial_number: impl Into<String>) -> Self {
-        self.device.serial_number = serial_number.into();
+        self.body.serial_number = serial_number.into();
         self
     }
 
-    /// Sets the lines of the reply to `V`, without line feeds. They replace the lines of
+    /// Sets the lines of the reply to `V` and `VV`, without line feeds and sums. They replace the lines of
     /// the firmware and the serial number.
     pub fn version_lines<L: Into<Vec<u8>>>(mut self, lines: impl IntoIterator<Item = L>) -> Self {
-        self.device.version_lines = Some(lines.into_iter().map(Into::into).collect());
+        self.body.version_lines = Some(lines.into_iter().map(Into::into).collect());
         self
     }
 
     /// Puts the sensor on USB, which has no baud rate. This is the default.
     pub fn usb(mut self) -> Self {
-        self.device.baud_rate = None;
+        self.body.baud_rate = None;
         self
     }
 
@@ -125,55 +157,59 @@ impl EmulatorBuilder {
         Self { is_intact: true, ..self.usb() }
     }
 
-    /// Puts the sensor on RS-232, at this baud rate until the first power cycle, and at
-    /// 19,200 baud afterwards.
+    /// Puts a URG-04LX on RS-232, at this baud rate until the first power cycle, and at
+    /// 19,200 baud afterwards. Other models have no RS-232.
     pub fn baud_rate(mut self, baud_rate: BaudRate) -> Self {
-        self.device.baud_rate = Some(baud_rate);
+        self.body.baud_rate = Some(baud_rate);
         self
     }
 
-    /// Sets whether the laser is on. Default: true, as after every power-up.
+    /// Sets whether the laser is on. Default: as after every power-up, true in SCIP 1.1 and false
+    /// in SCIP 2.
     pub fn laser(mut self, on: bool) -> Self {
-        self.device.is_laser_on = on;
+        self.laser = Some(on);
         self
     }
 
     /// Sets the status of the answer to `L` if the laser already is in that state.
     /// Default: [`RepeatedLaser::Status0`].
     pub fn repeated_laser(mut self, status: RepeatedLaser) -> Self {
-        self.device.repeated_laser = status;
+        self.dialect.repeated_laser = status;
         self
     }
 
-    /// Sets the protocol to speak until the next power cycle. Default: [`Mode::Scip1`].
+    /// Sets the protocol to speak until the next power cycle. Default: [`Mode::Scip1`], which only a
+    /// URG-04LX has: others speak SCIP 2.
     pub fn mode(mut self, mode: Mode) -> Self {
-        self.device.mode = mode;
+        self.mode = mode;
         self
     }
 
     /// Sets the answer to a terminator without a command. Default:
     /// [`EmptyCommand::Silence`].
     pub fn empty_command(mut self, answer: EmptyCommand) -> Self {
-        self.device.empty_command = answer;
+        self.dialect.empty_command = answer;
         self
     }
 
     /// Sets the number of excess points (or, negative, missing points) at the end of a
     /// scan, before clustering. Default: 0.
     pub fn miscount(mut self, points: i8) -> Self {
-        self.device.miscount = points;
+        self.body.miscount = points;
         self
     }
 
-    /// Sets when the sensor answers. Default: [`Pace::PerRevolution`].
+    /// Sets when the sensor answers. Default: [`Pace::PerRevolution`] of a URG, [`Pace::AtOnce`] of
+    /// the others.
     pub fn pace(mut self, pace: Pace) -> Self {
-        self.timing.pace = pace;
+        self.pace = Some(pace);
         self
     }
 
-    /// Sets the duration of one revolution of the motor, at least 1 ms. Default: 100 ms.
+    /// Sets the duration of one revolution of the motor, at least 1 ms. Default: 100 ms of a URG,
+    /// 25 ms of the others.
     pub fn revolution(mut self, revolution: Duration) -> Self {
-        self.revolution = revolution.clamp(Duration::from_millis(1), LONGEST);
+        self.revolution = Some(revolution.clamp(Duration::from_millis(1), LONGEST));
         self
     }
 
@@ -184,10 +220,18 @@ impl EmulatorBuilder {
         self
     }
 
+    /// Sets what the sensor's clock, which SCIP 2 sends, reads now, and how much faster it runs than
+    /// this host's, as a fraction: 0.002 for 0.2 %. At a power cycle it starts at zero. Default: zero
+    /// and zero.
+    pub fn clock(mut self, reads: Duration, faster: f64) -> Self {
+        self.clock = (reads.min(LONGEST), faster);
+        self
+    }
+
     /// Lets replies begin only at multiples of this interval, as USB's frames of one millisecond
-    /// do. Default: zero, a reply can begin at any time.
+    /// do. Default: 1 ms of a UST; otherwise zero, a reply can begin at any time.
     pub fn frame(mut self, frame: Duration) -> Self {
-        self.timing.frame = frame.min(LONGEST);
+        self.frame = Some(frame.min(LONGEST));
         self
     }
 
@@ -239,8 +283,8 @@ impl EmulatorBuilder {
     /// Answers each `G` with the next reply of a script in place of a world. With
     /// [`ReplayPace::Max`], bytes take no time on the line.
     pub fn script(mut self, script: impl Script + 'static, pace: ReplayPace) -> Self {
-        self.timing.pace = Pace::AtOnce;
-        self.timing.instant_line = pace == ReplayPace::Max;
+        self.pace = Some(Pace::AtOnce);
+        self.timing.byte_time = (pace == ReplayPace::Max).then_some(Duration::ZERO);
         self.playback = Some(Playback::new(Box::new(script), pace));
         self
     }
@@ -248,26 +292,33 @@ impl EmulatorBuilder {
     /// Powers up the sensor.
     #[must_use]
     pub fn build(self) -> Emulator {
-        let Self {
-            device,
-            is_intact,
-            timing,
-            revolution,
-            drift,
-            world,
-            playback,
-            faults,
-            seed,
-            log_capacity,
-        } = self;
-        let world = world.unwrap_or_else(|| Box::new(Room::new(seed)));
-        let faults = FaultInjector::new(faults, seed);
-        let journal = Journal::new(log_capacity);
+        let Self { mut body, dialect, session, mut timing, seed, .. } = self;
         let now = Instant::now();
-        let motor = Motor::new(revolution, drift, now);
-        let mut sensor = TimedDevice::new(device, world, timing, motor, faults, journal, now);
-        sensor.playback = playback;
-        sensor.is_intact = is_intact;
+        let model = body.model;
+        let is_urg = matches!(model, Model::Urg04lx | Model::Urg04lxUg01);
+        timing.pace = self.pace.unwrap_or(if is_urg { Pace::PerRevolution } else { Pace::AtOnce });
+        if model.is_on_ethernet() {
+            timing.frame = Duration::from_millis(1);
+            timing.byte_time = timing.byte_time.or(Some(ETHERNET_BYTE));
+        }
+        timing.frame = self.frame.unwrap_or(timing.frame);
+        body.baud_rate = body.baud_rate.filter(|_| model == Model::Urg04lx);
+        let in_scip2 = self.mode != Mode::Scip1 || model != Model::Urg04lx;
+        body.is_laser_on = !in_scip2;
+        let mut device = Device { body, dialect, session, is_in_scip2: in_scip2 };
+        device.set_mode(self.mode, now);
+        device.body.is_laser_on = self.laser.unwrap_or(device.body.is_laser_on);
+
+        let world = self.world.unwrap_or_else(|| Box::new(Room::new(seed)));
+        let source = Source { world, playback: self.playback };
+        let faults = FaultInjector::new(self.faults, seed);
+        let journal = Journal::new(self.log_capacity);
+        let revolution = self.revolution.unwrap_or(model.revolution());
+        let motor = Motor::new(revolution, self.drift, now);
+        let clock = Clock::new(now, self.clock.0, self.clock.1);
+        let mut sensor =
+            TimedDevice::new(device, source, timing, (motor, clock), faults, journal, now);
+        sensor.is_intact = self.is_intact;
         Emulator::new(sensor)
     }
 }

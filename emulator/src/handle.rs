@@ -5,10 +5,10 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
+use super::device::Mode;
 use super::faults::{Fault, Faults};
 use super::journal::{Counts, Received, SentScan};
 use super::link::{HostBaudRate, Link};
-use super::scip::Mode;
 use super::shared::{Plugged, Shared};
 use super::timed_device::TimedDevice;
 use super::timing::LONGEST;
@@ -58,6 +58,10 @@ impl Emulator {
         if plugged.plugged_in && !plugged.sensor.is_gone {
             let before = plugged.host;
             plugged.sensor.advance(Instant::now(), before);
+            if plugged.sensor.device.body.model.is_on_ethernet() {
+                // What was sent on another connection is lost.
+                plugged.sensor.unplug(Instant::now());
+            }
             plugged.sensor.is_hung_up = false;
             plugged.host = baud_rate.bits_per_second();
             plugged.link = Some(id);
@@ -105,8 +109,9 @@ impl Emulator {
         self.shared.link_changed.notify_waiters();
     }
 
-    /// Interrupts the power. The sensor restarts at 19,200 baud, laser on, in SCIP 1.1, and is
-    /// silent for the boot time. An open link stays open.
+    /// Interrupts the power. A URG-04LX restarts at 19,200 baud, laser on, in SCIP 1.1; others
+    /// restart in SCIP 2, laser off. The sensor is silent for the boot time. An open link stays open,
+    /// except on Ethernet.
     pub fn power_cycle(&self) {
         self.change(|plugged, now| plugged.sensor.power_cycle(now));
     }
@@ -117,13 +122,13 @@ impl Emulator {
         self.change(|plugged, _| plugged.sensor.set_faults(faults));
     }
 
-    /// Changes the serial number in the reply to `V`, as if you had replaced the sensor by
+    /// Changes the serial number in the reply to `V` and `VV`, as if you had replaced the sensor by
     /// another one.
     pub fn set_serial_number(&self, serial_number: impl Into<String>) {
-        self.change(|plugged, _| plugged.sensor.device.serial_number = serial_number.into());
+        self.change(|plugged, _| plugged.sensor.device.body.serial_number = serial_number.into());
     }
 
-    /// Changes the protocol that the sensor speaks.
+    /// Changes the protocol that the sensor speaks. [`Mode::Scip2Streaming`] switches its laser on.
     pub fn set_mode(&self, mode: Mode) {
         self.change(|plugged, now| plugged.sensor.set_mode(mode, now));
     }
@@ -135,12 +140,12 @@ impl Emulator {
 
     /// Returns whether the laser is on.
     pub fn is_laser_on(&self) -> bool {
-        self.shared.lock_now().sensor.device.is_laser_on
+        self.shared.lock_now().sensor.device.body.is_laser_on
     }
 
-    /// Baud rate of the sensor, or `None` on USB.
+    /// Baud rate of the sensor, or `None` on USB and Ethernet.
     pub fn baud_rate(&self) -> Option<BaudRate> {
-        self.shared.lock_now().sensor.device.baud_rate
+        self.shared.lock_now().sensor.device.body.baud_rate
     }
 
     /// Returns true if a link is open and not hung up.
@@ -182,6 +187,17 @@ impl Emulator {
     /// present period. A power cycle restores the drift at power-up.
     pub fn set_drift(&self, an_hour: f64) {
         self.change(|plugged, now| plugged.sensor.motor.set_drift(now, an_hour));
+    }
+
+    /// Moves the sensor's clock forward by this number of milliseconds, or back.
+    pub fn jump_clock(&self, milliseconds: i64) {
+        self.change(|plugged, _| plugged.sensor.clock.jump(milliseconds));
+    }
+
+    /// Changes how much faster the sensor's [clock](super::EmulatorBuilder::clock) runs than the
+    /// host's.
+    pub fn set_clock_rate(&self, faster: f64) {
+        self.change(|plugged, now| plugged.sensor.clock.set_rate(now, faster));
     }
 
     #[cfg(all(unix, feature = "pty"))]

@@ -4,14 +4,14 @@ use std::collections::VecDeque;
 
 use tokio::time::Instant;
 
-use super::scip::{ArrivedCommand, HostCommand};
+use super::line_buffer::CommandLine;
 use super::world::WorldTime;
 
 /// Kind of a command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Verdict {
-    /// Complete command of SCIP 1.1 with valid parameters.
+    /// Complete command of a protocol that the sensor knows, with valid parameters.
     WellFormed,
     /// Terminator without a command.
     Empty,
@@ -27,7 +27,7 @@ pub struct Received {
     pub at: Instant,
     /// Line without its terminator, at most 64 bytes.
     pub line: Vec<u8>,
-    /// Result of parsing it as a command of SCIP 1.1.
+    /// Result of parsing it as a command.
     pub verdict: Verdict,
     /// True if the two ends of the line had different baud rates.
     pub garbled: bool,
@@ -40,7 +40,7 @@ pub struct Received {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct SentScan {
-    /// When the terminator of its `G` had arrived. Lies between
+    /// When the terminator of its `G`, or of its stream's `M`, had arrived. For a `G`, lies between
     /// [`requested_at`](tokio_scip::scan::ScanTimes::requested_at) and
     /// [`Scan::received_at`](tokio_scip::Scan::received_at).
     pub requested_at: Instant,
@@ -68,7 +68,7 @@ pub struct Counts {
     pub overlapping: u64,
     /// Lines that were dropped because the sensor's command queue was full.
     pub overrun: u64,
-    /// `G` commands answered with distances.
+    /// Scans sent: `G` commands answered with distances, and scans of a stream.
     pub scans: u64,
     /// Replies of any kind, also those that a fault suppressed.
     pub replies: u64,
@@ -91,47 +91,26 @@ impl Journal {
         Self { counts: Counts::default(), log: VecDeque::new(), scans: VecDeque::new(), capacity }
     }
 
-    pub(super) fn record(&mut self, arrived: &ArrivedCommand) {
-        let verdict = match arrived.command {
-            HostCommand::Version
-            | HostCommand::Laser(_)
-            | HostCommand::BaudRate(_)
-            | HostCommand::Scan { .. } => Verdict::WellFormed,
-            HostCommand::Empty => Verdict::Empty,
-            HostCommand::Scip2 | HostCommand::Undefined | HostCommand::Invalid(_) => {
-                Verdict::Malformed
-            }
-        };
+    pub(super) fn record(&mut self, arrived: &CommandLine, verdict: Verdict) {
         let counts = &mut self.counts;
         counts.commands += 1;
         counts.garbled += u64::from(arrived.garbled);
         counts.malformed += u64::from(verdict == Verdict::Malformed && !arrived.garbled);
         counts.empty += u64::from(verdict == Verdict::Empty);
         counts.overlapping += u64::from(arrived.overlapping);
-        if self.capacity == 0 {
-            return;
-        }
-        if self.log.len() == self.capacity {
-            self.log.pop_front();
-        }
-        self.log.push_back(Received {
+        let received = Received {
             at: arrived.at,
             line: arrived.bytes.clone(),
             verdict,
             garbled: arrived.garbled,
             overlapping: arrived.overlapping,
-        });
+        };
+        push(&mut self.log, self.capacity, received);
     }
 
     pub(super) fn record_scan(&mut self, scan: SentScan) {
         self.counts.scans += 1;
-        if self.capacity == 0 {
-            return;
-        }
-        if self.scans.len() == self.capacity {
-            self.scans.pop_front();
-        }
-        self.scans.push_back(scan);
+        push(&mut self.scans, self.capacity, scan);
     }
 
     pub(super) fn scans(&self) -> Vec<SentScan> {
@@ -140,5 +119,13 @@ impl Journal {
 
     pub(super) fn log(&self) -> Vec<Received> {
         self.log.iter().cloned().collect()
+    }
+}
+
+/// Adds an item to those that are kept.
+fn push<T>(kept: &mut VecDeque<T>, capacity: usize, item: T) {
+    kept.push_back(item);
+    while kept.len() > capacity {
+        kept.pop_front();
     }
 }

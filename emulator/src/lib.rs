@@ -52,31 +52,40 @@
 //! back; the URG driver of Player does, and then reads all scans. A cluster count of `00`
 //! works as `01`. Lines of more than 64 bytes are cut and refused.
 
+mod body;
 mod builder;
+mod clock;
+mod device;
 mod faults;
 mod handle;
 mod journal;
+mod line_buffer;
 mod link;
 mod models;
 mod motor;
 mod playback;
 mod random;
-mod scip;
+mod reply;
+mod scip1;
+mod scip2;
 mod serve;
 mod shared;
+mod source;
 mod timed_device;
 mod timing;
 mod wire;
 mod world;
 
 pub use self::builder::EmulatorBuilder;
+pub use self::device::Mode;
 pub use self::faults::{Fault, Faults, FaultsError};
 pub use self::handle::Emulator;
 pub use self::journal::{Counts, Received, SentScan, Verdict};
 pub use self::link::Link;
 pub use self::models::Model;
 pub use self::playback::{ReplayPace, Script};
-pub use self::scip::{EmptyCommand, Firmware, Mode, RepeatedLaser};
+pub use self::scip1::{EmptyCommand, Firmware, RepeatedLaser};
+pub use self::scip2::Quirk;
 #[cfg(all(unix, feature = "pty"))]
 pub use self::serve::Pty;
 pub use self::timing::Pace;

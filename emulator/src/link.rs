@@ -155,7 +155,7 @@ impl AsyncRead for Link {
 
 /// Result of reading from a link that the sensor has hung up.
 fn end_of_stream(sensor: &TimedDevice) -> io::Result<()> {
-    let ended = sensor.playback.as_ref().filter(|_| sensor.is_gone);
+    let ended = sensor.source.playback.as_ref().filter(|_| sensor.is_gone);
     ended.and_then(|playback| playback.script.failure()).map_or(Ok(()), Err)
 }
 
@@ -230,7 +230,7 @@ impl PortHints for Link {
     /// Returns the time of the recording if one is replayed.
     fn wall_clock(&mut self) -> Option<SystemTime> {
         let plugged = self.shared.lock();
-        plugged.sensor.playback.as_ref().map(|playback| playback.script.wall_clock())
+        plugged.sensor.source.playback.as_ref().map(|playback| playback.script.wall_clock())
     }
 }
 

@@ -36,19 +36,62 @@ pub(crate) struct Geometry {
     pub(crate) farthest: u32,
     /// Distance from which enough light returns of most surfaces.
     reach: u32,
-    pub(crate) codes: Codes,
+    pub(crate) codes: &'static Codes,
 }
 
 /// Values that are no distance.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Codes {
-    /// 0 to 19 (C-42-3320-A p. 7, C-42-03320B p. 12).
-    Urg,
-    /// 1 to 5 (C-42-03320B p. 12).
-    Utm,
-    /// 65533, seen from real sensors.
-    Ethernet,
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Codes {
+    /// Step outside of the window.
+    pub(crate) outside: u32,
+    /// Object that is too near.
+    near: u32,
+    /// Object beyond the range, up to each of these distances.
+    far: &'static [(u32, u32)],
+    /// Too little light, one of these.
+    dark: &'static [u32],
+    /// Point that two scans in a row did not measure.
+    pub(crate) unstable: u32,
+    /// Point next to a missing one.
+    pub(crate) flickering: u32,
+    /// Runs of missing points, each with the cumulative percentage of the runs.
+    missing: &'static [(u8, u32)],
 }
+
+/// C-42-3320-A p. 7 and C-42-03320B p. 12. Runs are in the order of their frequency in captures of a
+/// real URG-04LX.
+const URG: Codes = Codes {
+    outside: 19,
+    near: 8,
+    far: &[(5600, 16), (12_000, 6), (u32::MAX, 0)],
+    dark: &[1, 2, 3, 4, 5],
+    unstable: 9,
+    flickering: 7,
+    missing: &[(40, 0), (70, 6), (88, 16), (100, 7)],
+};
+
+/// C-42-03320B p. 12.
+const UTM: Codes = Codes {
+    outside: 5,
+    near: 2,
+    far: &[(u32::MAX, 1)],
+    dark: &[1],
+    unstable: 3,
+    flickering: 5,
+    missing: &[(100, 1)],
+};
+
+/// Seen from real sensors.
+const NOTHING: u32 = 65_533;
+const ETHERNET: Codes = Codes {
+    outside: NOTHING,
+    near: NOTHING,
+    far: &[(u32::MAX, NOTHING)],
+    dark: &[NOTHING],
+    unstable: NOTHING,
+    flickering: NOTHING,
+    missing: &[(100, NOTHING)],
+};
 
 impl Model {
     /// Duration of a revolution at the nominal speed.
@@ -57,6 +100,10 @@ impl Model {
             Self::Urg04lx | Self::Urg04lxUg01 => 100,
             Self::Utm30lx | Self::Ust10lx => 25,
         })
+    }
+
+    pub(crate) const fn is_on_ethernet(self) -> bool {
+        matches!(self, Self::Ust10lx)
     }
 
     /// Geometry in SCIP 1.1, or in SCIP 2, where distances have more bits.
@@ -74,11 +121,11 @@ impl Model {
                     nearest: 20,
                     farthest: if in_scip2 { 5600 } else { 4094 },
                     reach: 4094,
-                    codes: Codes::Urg,
+                    codes: &URG,
                 };
             }
-            Self::Utm30lx => (Codes::Utm, 30_000),
-            Self::Ust10lx => (Codes::Ethernet, 10_000),
+            Self::Utm30lx => (&UTM, 30_000),
+            Self::Ust10lx => (&ETHERNET, 10_000),
         };
         Geometry {
             resolution: 1440,
@@ -108,9 +155,9 @@ impl Geometry {
 
     /// Cosine and sine of one step. Constants, so that they are the same on every machine.
     pub(crate) const fn step(&self) -> (f64, f64) {
-        match self.codes {
-            Codes::Urg => (0.999_981_175_282_601_1, 0.006_135_884_649_154_475),
-            Codes::Utm | Codes::Ethernet => (0.999_990_480_720_734_5, 0.004_363_309_284_746_571),
+        match self.resolution {
+            1024 => (0.999_981_175_282_601_1, 0.006_135_884_649_154_475),
+            _ => (0.999_990_480_720_734_5, 0.004_363_309_284_746_571),
         }
     }
 
@@ -122,90 +169,30 @@ impl Geometry {
     /// Converts a distance to a value: millimetres, or the code of its range.
     pub(crate) fn value(&self, distance: f64) -> u32 {
         match distance {
-            d if d < f64::from(self.nearest) => self.codes.near(),
-            d if d > f64::from(self.farthest) => self.codes.far(d),
+            d if d < f64::from(self.nearest) => self.codes.near,
+            d if d > f64::from(self.farthest) => self.far(d),
             d => d as u32,
         }
     }
 
-    /// Returns true if the sensor does not see a surface in this distance, which returns this
-    /// fraction of the light.
-    pub(crate) fn is_dark(&self, distance: f64, light: f64) -> bool {
+    /// Code of a surface that returns this fraction of the light, if the sensor does not see it;
+    /// `noise` draws one of several.
+    pub(crate) fn dark(&self, distance: f64, light: f64, noise: u64) -> Option<u32> {
         let reaches = distance / 1000.0 * (4094.0 / f64::from(self.reach));
-        light < 0.004 * reaches * reaches
+        let codes = self.codes.dark;
+        let code = codes.get((noise % codes.len() as u64) as usize).copied();
+        code.filter(|_| light < 0.004 * reaches * reaches)
     }
 
-    /// Replaces each distance between two that are missing by error code 7, as a URG does.
-    pub(crate) fn hide_lone_points(&self, values: &mut [u32]) {
-        if self.codes != Codes::Urg {
-            return;
-        }
-        let mut before = true;
-        for step in self.window() {
-            let after = values.get(step + 1).is_none_or(|&value| !self.is_distance(value));
-            if let Some(value) = values.get_mut(step) {
-                let is_distance = self.is_distance(*value);
-                if is_distance && before && after {
-                    *value = self.codes.flickering();
-                }
-                before = !is_distance;
-            }
-        }
-    }
-}
-
-/// Code of a UST.
-const NOTHING: u32 = 65_533;
-
-impl Codes {
-    /// Value of a step outside of the window.
-    pub(crate) const fn outside(self) -> u32 {
-        self.choose(19, 5)
+    /// Code of a missing point, drawn by a fraction.
+    pub(crate) fn missing(&self, drawn: f64) -> u32 {
+        let code = self.codes.missing.iter().find(|(to, _)| drawn < f64::from(*to) / 100.0);
+        code.map_or(self.codes.outside, |(_, code)| *code)
     }
 
-    /// Value where little light returned; `noise` draws one of several.
-    pub(crate) const fn dark(self, noise: u64) -> u32 {
-        self.choose(1 + (noise % 5) as u32, 1)
-    }
-
-    /// Value of a point that two scans in a row did not measure.
-    pub(crate) const fn unstable(self) -> u32 {
-        self.choose(9, 3)
-    }
-
-    /// Value of a point at the end of missing ones, or between two.
-    pub(crate) const fn flickering(self) -> u32 {
-        self.choose(7, 5)
-    }
-
-    /// Draws the value of a missing point by a fraction, 0 to 1.
-    pub(crate) fn missing(self, drawn: f64) -> u32 {
-        // In the order of their frequency in captures of a real URG-04LX, each with the cumulative
-        // fraction of the runs.
-        let codes = [(0, 0.40), (6, 0.70), (16, 0.88), (7, 1.0)];
-        self.choose(codes.iter().find(|(_, up_to)| drawn < *up_to).map_or(0, |(code, _)| *code), 1)
-    }
-
-    /// Value of an object that is too near.
-    const fn near(self) -> u32 {
-        self.choose(8, 2)
-    }
-
-    /// Value of a distance beyond the range.
-    fn far(self, distance: f64) -> u32 {
-        let urg = match distance {
-            d if d > 12_000.0 => 0,
-            d if d > 5_600.0 => 6,
-            _ => 16,
-        };
-        self.choose(urg, 1)
-    }
-
-    const fn choose(self, urg: u32, utm: u32) -> u32 {
-        match self {
-            Self::Urg => urg,
-            Self::Utm => utm,
-            Self::Ethernet => NOTHING,
-        }
+    /// Code of a distance beyond the range.
+    fn far(&self, distance: f64) -> u32 {
+        let code = self.codes.far.iter().find(|(to, _)| distance <= f64::from(*to));
+        code.map_or(self.codes.outside, |(_, code)| *code)
     }
 }

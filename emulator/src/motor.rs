@@ -47,6 +47,12 @@ impl Motor {
         self.drift = drift_an_hour / 3600.0;
     }
 
+    /// Turns slower than at power-up by this many percent, from the latest end of a revolution on.
+    pub(super) fn slow_down(&mut self, now: Instant, percent: u8) {
+        self.set_drift(now, self.drift * 3600.0);
+        self.period = self.initial * 100 / (100 - u32::from(percent.min(99)));
+    }
+
     /// Delays all ends of revolutions after `now`.
     pub(super) fn delay(&mut self, now: Instant, by: Duration) {
         self.set_drift(now, self.drift * 3600.0);

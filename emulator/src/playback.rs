@@ -8,7 +8,6 @@ use std::time::{Duration, SystemTime};
 
 use tokio::time::Instant;
 
-use super::scip::HostCommand;
 use super::world::Values;
 
 /// Longest time that the sensor holds back a reply until it is due. An earlier `G` gets
@@ -80,12 +79,10 @@ impl Playback {
         Self { script, pace, started_at: None }
     }
 
-    /// Answer to `command` if it is served at `at`.
-    pub(super) fn next_reply(&self, command: &HostCommand, at: Instant) -> NextReply {
-        match *command {
-            HostCommand::Scan { start, end, .. }
-                if start < end || self.script.is_single_step(end) => {}
-            _ => return NextReply::NotScripted,
+    /// Answer to a `G` for the steps from `start` to `end` if it is served at `at`.
+    pub(super) fn next_reply(&self, (start, end): (u16, u16), at: Instant) -> NextReply {
+        if start >= end && !self.script.is_single_step(end) {
+            return NextReply::NotScripted;
         }
         match (self.script.due(), self.started_at) {
             (None, _) => NextReply::End,

@@ -31,8 +31,8 @@ pub(super) struct DeviceTiming {
     /// Replies begin at whole multiples of this time, as in USB's frames; zero for none.
     pub(super) frame: Duration,
     pub(super) stray_byte: bool,
-    /// Bytes take no time on the line.
-    pub(super) instant_line: bool,
+    /// Time per byte, or `None` for a serial line or USB.
+    pub(super) byte_time: Option<Duration>,
 }
 
 impl DeviceTiming {

@@ -236,3 +236,40 @@ async fn faults_with_a_seed_do_not_depend_on_the_sensors() {
     let two = polled(&instant_sensor().faults(faults).seed(2).build()).await;
     assert!(one == two);
 }
+
+#[test]
+fn a_text_parses_to_the_calls_it_stands_for() {
+    let parsed: Faults = "late=0.01:3s, lost=0.005,noise=1:9,reset=0.1,seed=7".parse().unwrap();
+    let called = Faults::none()
+        .late(0.01, Duration::from_secs(3))
+        .rate(0.005, Fault::Lost)
+        .noise(1.0, 9)
+        .reset(0.1)
+        .seed(7);
+    assert_eq!(parsed, called);
+    assert_eq!("".parse(), Ok(Faults::none()));
+    assert_eq!("pause=1:250ms".parse(), Ok(Faults::none().paused(1.0, Duration::from_millis(250))));
+}
+
+#[test]
+fn an_error_names_part_expectation_and_finding() {
+    for (bad, reason) in [
+        ("late", "expected a probability from 0 to 1 after `=`"),
+        ("late=2", "expected a probability from 0 to 1, found 2"),
+        ("lost=NaN", "expected a probability from 0 to 1, found NaN"),
+        ("late=0.1:3", "expected a time such as 250ms or 3s after `:`, found `3`"),
+        ("pause=0.1:-3s", "expected a time such as 250ms or 3s after `:`, found `-3s`"),
+        (
+            "noise=1:99999999999999",
+            "expected a number of bytes up to 65536 after `:`, found `99999999999999`",
+        ),
+        ("noise=0.1:x", "expected a number of bytes up to 65536 after `:`, found `x`"),
+        ("lost=0.1:3s", "lost takes no limit, found `:3s`"),
+        ("seed=x", "expected seed=NUMBER, found `x`"),
+    ] {
+        let error = format!("lost=0.1,{bad}").parse::<Faults>().unwrap_err();
+        assert_eq!(error.to_string(), format!("invalid fault `{bad}`: {reason}"));
+    }
+    let error = "lots=0.1".parse::<Faults>().unwrap_err().to_string();
+    assert!(error.starts_with("invalid fault `lots=0.1`: unknown name `lots`, expected late,"));
+}

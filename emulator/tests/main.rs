@@ -7,10 +7,12 @@ mod baud_rate;
 mod commands;
 mod faults;
 mod handle;
+mod independence;
 #[path = "../../tests/common/limit.rs"]
 mod limit;
 mod lines;
 mod replies;
+mod scip2;
 #[path = "../../tests/properties/script.rs"]
 mod script;
 mod served;

@@ -222,7 +222,7 @@ async fn scip_2_statuses_have_three_characters() {
     let emulator = instant_sensor().mode(Mode::Scip2).build();
     let mut link = emulator.link();
     for command in ["V", "L1", "G04472501", "S1152000000000", "X"] {
-        assert_eq!(ask(&mut link, command).await, format!("{command}\n0Eu\n\n"));
+        assert_eq!(ask(&mut link, command).await, format!("{command}\n0Ee\n\n"));
     }
     emulator.power_cycle();
     assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n");

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use super::Fault;
 use crate::random::Random;
+use crate::reply::sextet;
 use crate::timing::LONGEST;
 
 /// Reply on its way to the host.
@@ -38,8 +39,9 @@ impl Delivery {
     pub(crate) fn apply(&mut self, fault: Fault, random: &mut Random) {
         let bytes = &mut self.bytes;
         match fault {
-            // These two were applied to the command, before there was a reply.
-            Fault::CommandLost | Fault::Status(_) => {}
+            // These were applied to the command, before there was a reply.
+            Fault::CommandLost | Fault::Status(_) | Fault::Ignored | Fault::ClockJump(_) => {}
+            Fault::WrongSum => falsify_sum(bytes, random),
             Fault::Lost => bytes.clear(),
             Fault::Late(delay) => self.delay += delay.min(LONGEST),
             Fault::Doubled => bytes.extend_from_within(..),
@@ -112,6 +114,19 @@ fn repeat(bytes: &mut Vec<u8>, range: Range<usize>) {
     let end = range.end;
     let again = bytes.get(range).unwrap_or_default().to_vec();
     bytes.splice(end..end, again);
+}
+
+fn falsify_sum(bytes: &mut [u8], random: &mut Random) {
+    // Positions of the sums: before each line feed, except for the echo's and the last one.
+    let last_of_line = |two: &[u8]| matches!(two, [first, b'\n'] if *first != b'\n');
+    let ends = bytes.windows(2).enumerate().filter(|(_, two)| last_of_line(two));
+    // The echo has no sum.
+    let ends: Vec<usize> = ends.map(|(at, _)| at).skip(1).collect();
+    let chosen = random.below(ends.len() as u64) as usize;
+    if let Some(sum) = ends.get(chosen).and_then(|at| bytes.get_mut(*at)) {
+        let six = u32::from(*sum).wrapping_sub(0x30);
+        *sum = sextet(six.wrapping_add(1 + random.below(63) as u32));
+    }
 }
 
 fn damage_one_byte(bytes: &mut Vec<u8>, random: &mut Random) {

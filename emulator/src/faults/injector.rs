@@ -31,19 +31,25 @@ impl FaultInjector {
         *self = Self { counts: take(&mut self.counts), ..Self::new(faults, self.default_seed) };
     }
 
-    /// Draws the faults of the next reply, and a generator for their details.
-    pub(crate) fn draw(&mut self) -> (Vec<Fault>, Random) {
+    /// Draws the faults of the next reply, to this command, and a generator for their details.
+    pub(crate) fn draw(&mut self, command: &[u8]) -> (Vec<Fault>, Random) {
         // One number for each reply, so that its faults do not depend on the length or
         // the faults of an earlier reply.
         let mut random = Random::new(self.random.next());
         let number = self.next_reply;
         self.next_reply += 1;
         let mut drawn = Vec::new();
-        for (trigger, fault) in &self.faults.scripted {
-            if matches!(trigger, Trigger::EveryReply) || *trigger == Trigger::Reply(number) {
+        self.faults.scripted.retain(|(trigger, fault)| {
+            let applies = match trigger {
+                Trigger::EveryReply => true,
+                Trigger::Reply(reply) => *reply == number,
+                Trigger::Command(start) | Trigger::Once(start) => command.starts_with(start),
+            };
+            if applies {
                 drawn.push(fault.clone());
             }
-        }
+            !(applies && matches!(trigger, Trigger::Once(_)))
+        });
         for (probability, fault) in &self.faults.random {
             if random.fraction() < *probability {
                 drawn.push(fault.draw(&mut random));
@@ -71,6 +77,10 @@ impl RandomFault {
             Self::Pause(longest) => {
                 let pause = up_to(longest);
                 Fault::Pause(random.below(64) as usize, pause)
+            }
+            Self::ClockJump(longest) => {
+                let milliseconds = up_to(longest).as_millis() as i64;
+                Fault::ClockJump(if random.below(2) == 0 { milliseconds } else { -milliseconds })
             }
             Self::Noise(longest) => Fault::Noise(random.below(*longest as u64 + 1) as usize),
             Self::Reset => Fault::Reset(random.below(1600) as usize),

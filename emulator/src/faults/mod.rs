@@ -53,8 +53,14 @@ pub enum Fault {
     Trickle(Duration),
     /// Every line feed becomes CR LF, as on a line that is not raw.
     CrLf,
-    /// Not executed: the command is refused with this status.
+    /// Not executed: the command is refused with this status, in SCIP 2 after a `0`.
     Status(u8),
+    /// Answered as if executed, but nothing changes: some sensors answer `QT` and go on sending.
+    Ignored,
+    /// The sum of one line is wrong, in SCIP 2: the last character of a line after the first.
+    WrongSum,
+    /// The sensor's clock moves forward by this number of milliseconds, or back, before the reply.
+    ClockJump(i64),
     /// After sending this number of bytes of the reply, the sensor restarts: 19,200 baud, laser
     /// on, silent for its boot time.
     Reset(usize),
@@ -95,6 +101,10 @@ pub struct Faults {
 enum Trigger {
     Reply(u64),
     EveryReply,
+    /// Replies to commands that begin with these bytes.
+    Command(Vec<u8>),
+    /// The first of these.
+    Once(Vec<u8>),
 }
 
 /// Fault whose details are drawn for each reply, up to a limit.
@@ -102,6 +112,7 @@ enum Trigger {
 enum RandomFault {
     Late(Duration),
     Pause(Duration),
+    ClockJump(Duration),
     Noise(usize),
     Reset,
     HangUp,
@@ -129,6 +140,22 @@ impl Faults {
         self
     }
 
+    /// Adds a fault of every reply to commands that begin with `command`, each scan of a stream
+    /// included.
+    #[must_use]
+    pub fn on(mut self, command: impl Into<Vec<u8>>, fault: Fault) -> Self {
+        self.scripted.push((Trigger::Command(command.into()), fault));
+        self
+    }
+
+    /// Adds a fault of the first reply to a command that begins with `command`.
+    /// `Faults::none().once("QT", Fault::Ignored)` makes a stream survive a `QT`.
+    #[must_use]
+    pub fn once(mut self, command: impl Into<Vec<u8>>, fault: Fault) -> Self {
+        self.scripted.push((Trigger::Once(command.into()), fault));
+        self
+    }
+
     /// Adds a fault that each reply has with this probability, 0 to 1.
     #[must_use]
     pub fn rate(mut self, probability: f64, fault: Fault) -> Self {
@@ -147,6 +174,13 @@ impl Faults {
     #[must_use]
     pub fn paused(mut self, probability: f64, longest: Duration) -> Self {
         self.random.push((probability, RandomFault::Pause(longest)));
+        self
+    }
+
+    /// Moves the sensor's clock by up to `longest`, forward or back, with this probability.
+    #[must_use]
+    pub fn clock_jump(mut self, probability: f64, longest: Duration) -> Self {
+        self.random.push((probability, RandomFault::ClockJump(longest)));
         self
     }
 

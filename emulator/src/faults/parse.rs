@@ -7,7 +7,7 @@ use super::{Fault, Faults};
 
 /// Names of all faults that can be written down.
 const NAMES: &str = "late, lost, command-lost, damaged, doubled, merged, noise, pause, reset, \
-                     hang-up (each =PROBABILITY) and seed=NUMBER";
+                     hang-up, ignored, wrong-sum, clock-jump (each =PROBABILITY) and seed=NUMBER";
 const DEFAULT_LONGEST: Duration = Duration::from_secs(1);
 const DEFAULT_NOISE_BYTES: usize = 64;
 /// More bytes than any burst of noise on a line.
@@ -31,7 +31,8 @@ impl FromStr for Faults {
     /// `late` (by up to 1 s, or by the time after the colon, `250ms` or `3s`), `lost`,
     /// `command-lost`, `damaged`, `doubled`, `merged`, `noise` (up to 64 bytes, or the
     /// number after the colon), `pause` (up to 1 s, or the time after the colon),
-    /// `reset`, `hang-up`. An empty text means no faults.
+    /// `reset`, `hang-up`; and of SCIP 2 `ignored`, `wrong-sum` and `clock-jump` (by up to 1 s, or
+    /// the time after the colon). An empty text means no faults.
     fn from_str(text: &str) -> Result<Self, FaultsError> {
         let mut parts = text.split(',').map(str::trim).filter(|part| !part.is_empty());
         parts.try_fold(Self::none(), |faults, part| {
@@ -54,6 +55,7 @@ fn add(faults: Faults, part: &str) -> Result<Faults, String> {
     match name {
         "late" => Ok(faults.late(chance(probability)?, longest(detail)?)),
         "pause" => Ok(faults.paused(chance(probability)?, longest(detail)?)),
+        "clock-jump" => Ok(faults.clock_jump(chance(probability)?, longest(detail)?)),
         "noise" => Ok(faults.noise(chance(probability)?, length(detail)?)),
         "reset" => Ok(faults.reset(chance_alone(name, probability, detail)?)),
         "hang-up" => Ok(faults.hung_up(chance_alone(name, probability, detail)?)),
@@ -64,6 +66,8 @@ fn add(faults: Faults, part: &str) -> Result<Faults, String> {
                 "damaged" => Fault::Damaged,
                 "doubled" => Fault::Doubled,
                 "merged" => Fault::Merged,
+                "ignored" => Fault::Ignored,
+                "wrong-sum" => Fault::WrongSum,
                 _ => return Err(format!("unknown name `{name}`, expected {NAMES}")),
             };
             Ok(faults.rate(chance_alone(name, probability, detail)?, fault))
@@ -108,50 +112,4 @@ fn duration(text: &str) -> Option<Duration> {
         None => (text.strip_suffix('s')?, 1.0),
     };
     Duration::try_from_secs_f64(number.parse::<f64>().ok()? * unit).ok()
-}
-
-#[cfg(test)]
-#[allow(clippy::unwrap_used)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_text_parses_to_the_calls_it_stands_for() {
-        let parsed: Faults = "late=0.01:3s, lost=0.005,noise=1:9,reset=0.1,seed=7".parse().unwrap();
-        let called = Faults::none()
-            .late(0.01, Duration::from_secs(3))
-            .rate(0.005, Fault::Lost)
-            .noise(1.0, 9)
-            .reset(0.1)
-            .seed(7);
-        assert_eq!(parsed, called);
-        assert_eq!("".parse(), Ok(Faults::none()));
-        assert_eq!(
-            "pause=1:250ms".parse(),
-            Ok(Faults::none().paused(1.0, Duration::from_millis(250)))
-        );
-    }
-
-    #[test]
-    fn an_error_names_part_expectation_and_finding() {
-        for (bad, reason) in [
-            ("late", "expected a probability from 0 to 1 after `=`"),
-            ("late=2", "expected a probability from 0 to 1, found 2"),
-            ("lost=NaN", "expected a probability from 0 to 1, found NaN"),
-            ("late=0.1:3", "expected a time such as 250ms or 3s after `:`, found `3`"),
-            ("pause=0.1:-3s", "expected a time such as 250ms or 3s after `:`, found `-3s`"),
-            (
-                "noise=1:99999999999999",
-                "expected a number of bytes up to 65536 after `:`, found `99999999999999`",
-            ),
-            ("noise=0.1:x", "expected a number of bytes up to 65536 after `:`, found `x`"),
-            ("lost=0.1:3s", "lost takes no limit, found `:3s`"),
-            ("seed=x", "expected seed=NUMBER, found `x`"),
-        ] {
-            let error = format!("lost=0.1,{bad}").parse::<Faults>().unwrap_err();
-            assert_eq!(error.to_string(), format!("invalid fault `{bad}`: {reason}"));
-        }
-        let error = "lots=0.1".parse::<Faults>().unwrap_err().to_string();
-        assert!(error.starts_with("invalid fault `lots=0.1`: unknown name `lots`, expected late,"));
-    }
 }

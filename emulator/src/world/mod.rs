@@ -38,8 +38,7 @@ pub struct WorldTime {
     /// Revolution whose distances are sent, 0 for the first one after power-up: the last
     /// one that had ended when the command was served.
     pub revolution: u64,
-    /// Number of `G` commands that this sensor answered with distances before, over all
-    /// its power-ups. Use it to tell each reply in your test from every other.
+    /// Number of scans that this sensor sent before, over all its power-ups. Use it to tell each reply in your test from every other.
     pub request: u64,
     /// Time from power-up to the end of that revolution.
     pub at: Duration,
@@ -60,8 +59,7 @@ impl WorldTime {
 
 /// Surroundings of an emulated sensor.
 ///
-/// A world is called only when a `G` command is served, while the emulated sensor is
-/// locked. It must not call the [`Emulator`](super::Emulator) that it belongs to, and
+/// A world is called only when a scan is sent, while the emulated sensor is locked. It must not call the [`Emulator`](super::Emulator) that it belongs to, and
 /// should not take long.
 ///
 /// Closures implement it, too:
@@ -79,8 +77,18 @@ impl WorldTime {
 /// ```
 pub trait World: Send {
     /// Fills in the value of each step. Before the call, all values say that the step is not
-    /// measured: 19 for a URG. Only the low 12 bits are sent.
+    /// measured: 19 for a URG. A URG in SCIP 1.1 sends only the low
+    /// 12 bits, SCIP 2 the low 18 bits.
     fn measure(&mut self, time: WorldTime, values: &mut Values);
+
+    /// Fills in the intensity of each step, for the models that measure it. By default near
+    /// surfaces are brighter: `20,000,000 / (1000 + value)`.
+    fn measure_intensities(&mut self, time: WorldTime, values: &Values, intensities: &mut Values) {
+        let _ = time;
+        for (intensity, value) in intensities.iter_mut().zip(values) {
+            *intensity = 20_000_000 / value.saturating_add(1000);
+        }
+    }
 }
 
 impl<F: FnMut(WorldTime, &mut Values) + Send> World for F {

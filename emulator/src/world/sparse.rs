@@ -44,7 +44,7 @@ impl<W: World> World for Sparse<W> {
             let missing = (missing as usize).min(length);
             // Divided in 64 bits, so that 32-bit systems draw the same numbers.
             let start = ((drawn >> 8) % (length - missing + 1) as u64) as usize;
-            let code = geometry.codes.missing(fraction(mix(drawn ^ 1)));
+            let code = geometry.missing(fraction(mix(drawn ^ 1)));
             for step in first + start..first + start + missing {
                 if let Some(value) = values.get_mut(step).filter(|_| window.contains(&step))
                     && geometry.is_distance(*value)
@@ -56,6 +56,10 @@ impl<W: World> World for Sparse<W> {
             first += length;
         }
         self.flicker(time, values);
+    }
+
+    fn measure_intensities(&mut self, time: WorldTime, values: &Values, intensities: &mut Values) {
+        self.world.measure_intensities(time, values, intensities);
     }
 }
 
@@ -76,7 +80,7 @@ impl<W> Sparse<W> {
             let is_at_end = is_missing(step + 1) || is_missing(step.wrapping_sub(1));
             let noise = mix(revolution.wrapping_add(step as u64));
             if geometry.is_distance(*value) && is_at_end && noise.is_multiple_of(3) {
-                *value = geometry.codes.flickering();
+                *value = geometry.codes.flickering;
             }
         }
     }

@@ -44,7 +44,7 @@ pub(super) fn sweep(
         );
     }
     if noise != Noise::None {
-        geometry.hide_lone_points(values);
+        hide_lone_points(&geometry, values);
     }
 }
 
@@ -52,10 +52,25 @@ fn noisy_value(geometry: &Geometry, Echo { distance, light }: Echo, noise: u64) 
     let spread = fraction(noise) + fraction(mix(noise)) - 1.0;
     let measured = distance + spread * (4.0 + 0.004 * distance);
     let range = f64::from(geometry.nearest)..=f64::from(geometry.farthest);
-    let is_dark = range.contains(&measured) && geometry.is_dark(distance, light);
-    match () {
-        () if noise.is_multiple_of(300) => geometry.codes.unstable(),
-        () if is_dark => geometry.codes.dark(noise),
-        () => geometry.value(measured),
+    let dark = range.contains(&measured).then(|| geometry.dark(distance, light, noise)).flatten();
+    match dark {
+        _ if noise.is_multiple_of(300) => geometry.codes.unstable,
+        Some(code) => code,
+        None => geometry.value(measured),
+    }
+}
+
+/// Replaces each distance between two that are missing by a code, as the sensor does.
+fn hide_lone_points(geometry: &Geometry, values: &mut Values) {
+    let mut before = true;
+    for step in geometry.window() {
+        let after = values.get(step + 1).is_none_or(|&value| !geometry.is_distance(value));
+        if let Some(value) = values.get_mut(step) {
+            let is_distance = geometry.is_distance(*value);
+            if is_distance && before && after {
+                *value = geometry.codes.flickering;
+            }
+            before = !is_distance;
+        }
     }
 }

@@ -1,0 +1,87 @@
+//! [`LineBuffer`]: cuts the bytes that arrive at the sensor into command lines.
+
+use tokio::time::Instant;
+
+/// Number of bytes to keep of a line. The longest command, `%MD` with a text of the host, has 33.
+/// A host that never ends its line must not cost more memory.
+const MAX_LINE_BYTES: usize = 64;
+
+/// Command line whose terminator has arrived.
+#[derive(Debug)]
+pub(crate) struct CommandLine {
+    /// When the terminator had arrived.
+    pub(crate) at: Instant,
+    /// Line without its terminator, cut to `MAX_LINE_BYTES`.
+    pub(crate) bytes: Vec<u8>,
+    /// True if it was cut.
+    pub(crate) too_long: bool,
+    /// True if the two ends of the line had different baud rates.
+    pub(crate) garbled: bool,
+    /// True if its first byte arrived while an earlier command was unanswered.
+    pub(crate) overlapping: bool,
+    /// True if it arrived while an earlier command of its kind was unanswered.
+    pub(crate) repeated: bool,
+}
+
+impl CommandLine {
+    /// Letters that tell which command it is, in SCIP 2.
+    pub(crate) fn kind(&self) -> &[u8] {
+        let letters = if self.bytes.starts_with(b"%") { 3 } else { 2 };
+        self.bytes.get(..letters).unwrap_or(&self.bytes)
+    }
+}
+
+/// Line buffer of the sensor.
+#[derive(Debug, Default)]
+pub(crate) struct LineBuffer {
+    bytes: Vec<u8>,
+    too_long: bool,
+    garbled: bool,
+    overlapping: bool,
+}
+
+impl LineBuffer {
+    /// Returns true if no byte of the next line has arrived.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.bytes.is_empty()
+    }
+
+    /// Records that the line began while an earlier command was unanswered.
+    pub(crate) fn mark_overlapping(&mut self) {
+        self.overlapping = true;
+    }
+
+    /// Adds one byte. Returns the line if the byte was its terminator.
+    pub(crate) fn push(&mut self, byte: u8, at: Instant, garbled: bool) -> Option<CommandLine> {
+        self.garbled |= garbled;
+        if byte != b'\n' && byte != b'\r' {
+            if self.bytes.len() < MAX_LINE_BYTES {
+                self.bytes.push(byte);
+            } else {
+                self.too_long = true;
+            }
+            return None;
+        }
+        let Self { bytes, too_long, garbled, overlapping } = std::mem::take(self);
+        Some(CommandLine { at, bytes, too_long, garbled, overlapping, repeated: false })
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_without_a_terminator_keeps_64_bytes() {
+        let now = Instant::now();
+        let mut line = LineBuffer::default();
+        for _ in 0..1_000_000 {
+            assert!(line.push(b'V', now, false).is_none());
+        }
+        assert!(line.bytes.capacity() <= 2 * MAX_LINE_BYTES);
+        let arrived = line.push(b'\r', now, false).unwrap();
+        assert_eq!(arrived.bytes, [b'V'; MAX_LINE_BYTES]);
+        assert!(arrived.too_long && line.is_empty());
+    }
+}

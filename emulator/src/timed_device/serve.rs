@@ -1,0 +1,184 @@
+//! Executes commands and sends scans, each with its faults.
+
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use super::{TimedDevice, TimedEvent};
+use crate::body::{Answer, Effect};
+use crate::faults::{Aftermath, Delivery, Fault};
+use crate::journal::SentScan;
+use crate::line_buffer::CommandLine;
+use crate::playback::NextReply;
+use crate::random::Random;
+use crate::scip2::Times;
+use crate::timing::Pace;
+use crate::wire::byte_time;
+use crate::world::WorldTime;
+use tokio_scip::BaudRate;
+
+impl TimedDevice {
+    pub(super) fn serve_command(&mut self, at: Instant) {
+        let Some(line) = self.waiting.pop_front() else { return };
+        self.busy_until = at;
+        for later in self.waiting.iter_mut().take_while(|later| later.at < at) {
+            later.repeated |= later.kind() == line.kind();
+        }
+        if !self.device.answers(&line) {
+            return;
+        }
+        self.source.prepare();
+        match self.source.next_reply(&self.device, &line, at) {
+            NextReply::NotScripted | NextReply::At(_) => {}
+            NextReply::TooEarly => return,
+            NextReply::End => {
+                (self.is_hung_up, self.is_gone) = (true, true);
+                return;
+            }
+        }
+        let (faults, random) = self.faults.draw(&line.bytes);
+        self.journal.counts.replies += 1;
+        if faults.contains(&Fault::CommandLost) {
+            return;
+        }
+        let Answer { bytes, effect } = self.execute(at, &line, &faults);
+
+        let duration = self.byte_time() * bytes.len() as u32;
+        let was_off = matches!(effect, Effect::LaserOn | Effect::Stream { was_off: true });
+        let at = match was_off && self.timing.pace == Pace::PerRevolution {
+            true => at + self.motor.period(),
+            false => at,
+        };
+        let start = self.send_reply(at, bytes, faults, random);
+        // A late reply is delayed on its way, which does not keep the sensor busy.
+        self.busy_until = at + duration;
+        self.unanswered_until = start + duration;
+        self.take_effect(at, effect);
+    }
+
+    /// Time that the line needs for a byte.
+    fn byte_time(&self) -> Duration {
+        self.timing.byte_time.unwrap_or_else(|| byte_time(self.baud_rate()))
+    }
+
+    fn execute(&mut self, at: Instant, line: &CommandLine, faults: &[Fault]) -> Answer {
+        if let Some(status) = refusal(faults) {
+            return self.device.refuse(&line.bytes, status).into();
+        }
+        let (time, times) = self.times(at, faults);
+        if let NextReply::At(_) = self.source.next_reply(&self.device, line, at)
+            && let Some(playback) = &mut self.source.playback
+            && let Some(reply) = playback.advance(&line.bytes, at)
+        {
+            return reply.into();
+        }
+        let before = faults.contains(&Fault::Ignored).then(|| self.device.clone());
+        let mut measure = self.source.measure_at(time);
+        let mut answer = self.device.execute(line, times, &mut measure);
+        drop(measure);
+        if answer.effect == Effect::Scan {
+            self.record_scan(line.at, time);
+        }
+        if let Some(before) = before {
+            (self.device, answer.effect) = (before, Effect::None);
+        }
+        answer
+    }
+
+    /// Does what a command has set off, once it is answered at `at`.
+    fn take_effect(&mut self, at: Instant, effect: Effect) {
+        match effect {
+            Effect::None | Effect::LaserOn | Effect::Scan => {}
+            Effect::BaudRate(baud_rate) => {
+                let change = (at + self.motor.period()).max(self.transmitter.free());
+                self.schedule(change, TimedEvent::BaudRate(baud_rate));
+                self.busy_until = change;
+            }
+            Effect::MotorSpeed(percent) => self.motor.slow_down(at, percent),
+            // The first scan is of a revolution that begins later.
+            Effect::Stream { .. } => self.next_stream = self.motor.next_end(at),
+            Effect::Reset { all } => {
+                self.clock.restart(at);
+                if all {
+                    self.motor.slow_down(at, 0);
+                }
+                let rate = self.device.body.baud_rate.filter(|_| all);
+                if rate.is_some_and(|rate| rate != BaudRate::B19200) {
+                    self.take_effect(at, Effect::BaudRate(BaudRate::B19200));
+                }
+            }
+            Effect::Reboot => self.schedule(self.transmitter.free(), TimedEvent::Reset),
+        }
+    }
+
+    /// Times of a reply, after the jumps of the clock among its faults.
+    fn times(&mut self, at: Instant, faults: &[Fault]) -> (WorldTime, Times) {
+        for fault in faults {
+            if let Fault::ClockJump(milliseconds) = fault {
+                self.clock.jump(*milliseconds);
+            }
+        }
+        let time = self.world_time(at);
+        let scan = self.clock.read(self.powered_at + time.at_step(0));
+        (time, Times { now: at, clock: self.clock.read(at), scan })
+    }
+
+    fn record_scan(&mut self, requested_at: Instant, time: WorldTime) {
+        let revolution_end = self.powered_at + time.at;
+        self.journal.record_scan(SentScan { requested_at, revolution_end, time });
+    }
+
+    /// Sends a scan of a stream at the end of its revolution.
+    pub(super) fn stream_scan(&mut self, at: Instant) {
+        let Some(stream) = self.device.session.stream() else { return };
+        let (faults, random) = self.faults.draw(&stream.echo);
+        let (requested_at, skipped) = (stream.requested_at, stream.skipped);
+        self.next_stream = self.motor.end(self.motor.finished(at) + u64::from(skipped));
+        self.journal.counts.replies += 1;
+        let (time, times) = self.times(at, &faults);
+        let mut measure = self.source.measure_at(time);
+        let bytes = self.device.next_scan(times, refusal(&faults), &mut measure);
+        drop(measure);
+        self.record_scan(requested_at, time);
+        if !faults.contains(&Fault::CommandLost) {
+            self.send_reply(at + self.timing.latency, bytes, faults, random);
+        }
+    }
+
+    /// Puts a reply with its faults on the line, and returns the time of its first bit.
+    fn send_reply(
+        &mut self,
+        at: Instant,
+        bytes: Vec<u8>,
+        faults: Vec<Fault>,
+        mut random: Random,
+    ) -> Instant {
+        let mut delivery = Delivery::new(bytes);
+        delivery.byte_time = self.timing.byte_time;
+        for fault in faults {
+            delivery.apply(fault, &mut random);
+        }
+        let mut at = self.timing.frame_at(self.powered_at, at) + delivery.delay;
+        let start = self.transmitter.free().max(at);
+        for (pause, bytes) in delivery.take_parts() {
+            at = self.transmitter.free().max(at) + pause;
+            self.transmitter.send(at, bytes, self.baud_rate(), delivery.byte_time);
+        }
+        let end = self.transmitter.free().max(at);
+        match delivery.then {
+            Some(Aftermath::Reset) => self.schedule(end, TimedEvent::Reset),
+            Some(Aftermath::HangUp) => self.schedule(end, TimedEvent::HangUp),
+            Some(Aftermath::Endless(pattern)) => self.transmitter.set_endless(Some(pattern)),
+            None => {}
+        }
+        start
+    }
+}
+
+/// Status of a reply that a fault refuses.
+fn refusal(faults: &[Fault]) -> Option<u8> {
+    faults.iter().find_map(|fault| match fault {
+        Fault::Status(status) => Some(*status),
+        _ => None,
+    })
+}
