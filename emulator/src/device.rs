@@ -69,7 +69,9 @@ impl Device {
         match () {
             () if line.bytes.is_empty() => Verdict::Empty,
             () if model == Model::Urg04lx && is_of_scip1() => Verdict::WellFormed,
-            () if knows_scip2 && Session::is_valid(&line.bytes, line.too_long, model) => {
+            () if knows_scip2
+                && scip2::Command::parse(&line.bytes, line.too_long, model).is_ok() =>
+            {
                 Verdict::WellFormed
             }
             () => Verdict::Malformed,
@@ -89,12 +91,11 @@ impl Device {
     /// First and last step that the line asks for, if it asks for the newest scan and the laser is
     /// on.
     pub(crate) fn asked_steps(&self, line: &CommandLine) -> Option<(u16, u16)> {
-        let steps = match self.is_in_scip2 {
-            true => Session::latest(&line.bytes, self.body.model)?,
-            false => match Command::parse(&line.bytes, line.too_long) {
-                Command::Scan(steps) => steps,
-                _ => return None,
-            },
+        let (line, too_long) = (&line.bytes, line.too_long);
+        let steps = match (self.is_in_scip2, Command::parse(line, too_long)) {
+            (false, Command::Scan(steps)) => steps,
+            (false, _) => return None,
+            (true, _) => scip2::Command::parse(line, too_long, self.body.model).ok()?.latest()?,
         };
         self.body.is_laser_on.then_some((steps.start, steps.end))
     }
@@ -116,10 +117,7 @@ impl Device {
             };
         }
         if *is_in_scip2 {
-            return match line.repeated {
-                true => scip2::status_only(&line.bytes, *b"0B").into(),
-                false => session.execute(body, &line.bytes, line.too_long, times, measure),
-            };
+            return session.execute(body, line, times, measure);
         }
         let command = Command::parse(&line.bytes, line.too_long);
         if command == Command::Scip2 && dialect.firmware == Firmware::V31 {
@@ -134,16 +132,5 @@ impl Device {
             true => scip2::status_only(line, [b'0', status]),
             false => scip1::status_only(line, status),
         }
-    }
-
-    /// Next scan of the stream, or the status that a fault refuses it with.
-    pub(crate) fn next_scan(
-        &mut self,
-        times: Times,
-        refusal: Option<u8>,
-        measure: Measure<'_>,
-    ) -> Vec<u8> {
-        let refusal = refusal.map(|status| [b'0', status]);
-        self.session.next_scan(&mut self.body, times, refusal, measure)
     }
 }

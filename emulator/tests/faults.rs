@@ -273,3 +273,35 @@ fn an_error_names_part_expectation_and_finding() {
     let error = "lots=0.1".parse::<Faults>().unwrap_err().to_string();
     assert!(error.starts_with("invalid fault `lots=0.1`: unknown name `lots`, expected late,"));
 }
+
+#[tokio::test(start_paused = true)]
+async fn random_damage_takes_every_form() {
+    let mut lengths = std::collections::BTreeSet::new();
+    for seed in 0..200 {
+        let faults = Faults::none().every(Fault::Damaged).seed(seed);
+        let mut link = instant_sensor().faults(faults).build().link();
+        link.write_all(b"L0\n").await.unwrap();
+        let mut received = listen_bytes(&mut link).await;
+        received.extend(listen_bytes(&mut link).await);
+        assert_ne!(received, b"L0\n0\n\n");
+        lengths.insert(received.len());
+    }
+    assert_eq!(lengths.into_iter().collect::<Vec<_>>(), (0..=7).collect::<Vec<_>>());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_reply_pauses_at_each_place() {
+    // In any order; a place past the end has no pause.
+    let pauses = [(4, S), (1, 2 * S), (9, S)];
+    let add = |faults: Faults, (at, pause)| faults.at(0, Fault::Pause(at, pause));
+    let faults = pauses.into_iter().fold(Faults::none(), add);
+    let mut link = instant_sensor().faults(faults).build().link();
+    let start = Instant::now();
+    link.write_all(b"L0\n").await.unwrap();
+    let mut arrived = Vec::new();
+    for _ in 0..6 {
+        link.read_u8().await.unwrap();
+        arrived.push(start.elapsed().as_secs());
+    }
+    assert_eq!(arrived, [0, 2, 2, 2, 3, 3]);
+}

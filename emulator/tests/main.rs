@@ -11,6 +11,7 @@ mod independence;
 #[path = "../../tests/common/limit.rs"]
 mod limit;
 mod lines;
+mod motor;
 mod replies;
 mod scip2;
 #[path = "../../tests/properties/script.rs"]

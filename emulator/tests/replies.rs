@@ -289,3 +289,9 @@ async fn the_request_number_counts_scans_only() {
         assert_eq!(ask(&mut link, command).await, reply);
     }
 }
+
+#[tokio::test(start_paused = true)]
+async fn the_smallest_and_the_largest_value_have_two_characters() {
+    let mut link = instant_sensor().world(Fixed::new([0, 4095])).build().link();
+    assert_eq!(ask(&mut link, "G00000101").await, "G00000101\n0\n00oo\n\n");
+}

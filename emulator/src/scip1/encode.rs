@@ -23,13 +23,3 @@ pub(super) fn distances(echo: &[u8], values: &[u32]) -> Vec<u8> {
     }
     lines(echo, data.chunks(BLOCK_BYTES))
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_smallest_and_the_largest_value() {
-        assert_eq!(distances(b"G", &[0, 4095]), b"G\n0\n00oo\n\n");
-    }
-}

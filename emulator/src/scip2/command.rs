@@ -1,5 +1,8 @@
 //! [`Command`]: a command line of SCIP 2 after parsing.
 
+use std::cmp::Ordering;
+use std::ops::Range;
+
 use crate::body::Steps;
 use crate::models::Model;
 use tokio_scip::BaudRate;
@@ -65,7 +68,41 @@ pub(super) enum Data {
 }
 
 /// Status of an answer to a command with a mistake.
-type Refusal = &'static [u8; 2];
+pub(crate) type Refusal = &'static [u8; 2];
+
+/// Letters of commands, their number of digits, the models that know them, and how to read them.
+type Form = (&'static str, usize, &'static [Model], fn(Digits<'_>) -> Result<Command, Refusal>);
+
+const ALL: &[Model] = &[Model::Urg04lx, Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx];
+const CLASSIC: &[Model] = &[Model::Urg04lx];
+const URG: &[Model] = &[Model::Urg04lx, Model::Urg04lxUg01];
+const UTM: &[Model] = &[Model::Utm30lx, Model::Ust10lx];
+const UST: &[Model] = &[Model::Ust10lx];
+
+const FORMS: [Form; 22] = [
+    ("VV", 0, ALL, |_| Ok(Command::Version)),
+    ("PP", 0, ALL, |_| Ok(Command::Parameters)),
+    ("II", 0, ALL, |_| Ok(Command::State)),
+    ("%ST", 0, UST, |_| Ok(Command::StateCode)),
+    ("BM", 0, ALL, |_| Ok(Command::LaserOn)),
+    ("QT", 0, ALL, |_| Ok(Command::LaserOff)),
+    ("RS", 0, ALL, |_| Ok(Command::Reset { all: true })),
+    ("RT", 0, ALL, |_| Ok(Command::Reset { all: false })),
+    ("RB", 0, ALL, |_| Ok(Command::Reboot)),
+    ("%SL", 0, UST, |_| Ok(Command::Sleep)),
+    ("TM", 1, ALL, |digits| digits.clock()),
+    ("%TM", 1, UST, |digits| digits.clock()),
+    ("SS", 6, ALL, |digits| digits.baud_rate()),
+    ("CR", 2, ALL, |digits| digits.motor_speed()),
+    ("HS", 1, URG, |digits| digits.sensitivity()),
+    ("GD GS", 10, ALL, |digits| digits.asked().map(Command::Latest)),
+    ("GE", 10, UTM, |digits| digits.asked().map(Command::Latest)),
+    ("MD MS", 13, ALL, |digits| digits.stream()),
+    ("ME", 13, UTM, |digits| digits.stream()),
+    ("%MD %ME", 13, UST, |digits| digits.stream()),
+    ("GE HD HE", 10, CLASSIC, |_| Ok(Command::Locking)),
+    ("ME ND NE", 13, CLASSIC, |_| Ok(Command::Locking)),
+];
 
 impl Command {
     /// Parses a command line without its terminator, which may have been cut.
@@ -74,27 +111,31 @@ impl Command {
     ///
     /// The status to answer with. Where the text (p. 10 to 23) leaves open which, it is this
     /// emulator's choice.
-    pub(super) fn parse(line: &[u8], too_long: bool, model: Model) -> Result<Self, Refusal> {
+    pub(crate) fn parse(line: &[u8], too_long: bool, model: Model) -> Result<Self, Refusal> {
         let mut parts = line.splitn(2, |&byte| byte == b';');
-        let (body, text) = (parts.next().unwrap_or_default(), parts.next());
+        let (body, text) = (parts.next().unwrap_or_default(), parts.next().unwrap_or_default());
         let letters = if body.starts_with(b"%") { 3 } else { 2 };
         let (letters, digits) = body.split_at_checked(letters).ok_or(b"0E")?;
-        let count = parameters(letters, model).ok_or(b"0E")?;
-        if text.is_some_and(|text| text.len() > MAX_TEXT_BYTES) || too_long {
+        let is_it = |(known, _, models, _): &&Form| {
+            known.split(' ').any(|known| known.as_bytes() == letters) && models.contains(&model)
+        };
+        let (_, count, _, read) = FORMS.iter().find(is_it).ok_or(b"0E")?;
+        if text.len() > MAX_TEXT_BYTES || too_long {
             return Err(b"0G");
         }
-        let is_valid = |byte: &u8| byte.is_ascii_alphanumeric() || b" ._+@".contains(byte);
-        if text.is_some_and(|text| !text.iter().all(is_valid)) {
+        if !text.iter().all(|byte| byte.is_ascii_alphanumeric() || b" ._+@".contains(byte)) {
             return Err(b"0H");
         }
-        // Seen on a URG-04LX with firmware 3.1.04, which has no such command.
-        if digits.len() < count || letters == b"HS" && model == Model::Urg04lx {
-            return Err(b"0C");
+        match digits.len().cmp(count) {
+            Ordering::Less => Err(b"0C"),
+            Ordering::Greater => Err(b"0D"),
+            Ordering::Equal => read(Digits { letters, digits, model }),
         }
-        if digits.len() > count {
-            return Err(b"0D");
-        }
-        Self::with_digits(letters, digits, model)
+    }
+
+    /// Steps of the newest scan that the command asks for.
+    pub(crate) const fn latest(&self) -> Option<Steps> {
+        if let Self::Latest(asked) = self { Some(asked.steps) } else { None }
     }
 
     /// Returns true if a sensor in clock mode accepts the command.
@@ -103,103 +144,85 @@ impl Command {
         matches!(self, C::EnterClockMode | C::Clock(_) | C::LeaveClockMode)
             || matches!(self, C::Version | C::State | C::StateCode | C::Reset { .. } | C::Reboot)
     }
+}
 
-    fn with_digits(letters: &[u8], digits: &[u8], model: Model) -> Result<Self, Refusal> {
-        let unit = if letters.starts_with(b"%") { Unit::Microseconds } else { Unit::Milliseconds };
-        Ok(match (letters, digits) {
-            (b"VV", _) => Self::Version,
-            (b"PP", _) => Self::Parameters,
-            (b"II", _) => Self::State,
-            (b"%ST", _) => Self::StateCode,
-            (b"BM", _) => Self::LaserOn,
-            (b"QT", _) => Self::LaserOff,
-            (b"RS", _) => Self::Reset { all: true },
-            (b"RT", _) => Self::Reset { all: false },
-            (b"RB", _) => Self::Reboot,
-            (b"%SL", _) => Self::Sleep,
-            (b"TM", b"0") => Self::EnterClockMode,
-            (b"TM" | b"%TM", b"1") => Self::Clock(unit),
-            (b"TM", b"2") => Self::LeaveClockMode,
-            (b"HS", b"0" | b"1") => Self::Sensitivity,
-            (b"TM" | b"%TM" | b"HS", _) => return Err(b"01"),
-            (b"SS", _) => Self::BaudRate(baud_rate(digits)?),
-            (b"CR", _) => match number(digits).ok_or(b"01")? {
-                speed @ (0..=10 | 99) => Self::MotorSpeed(speed as u8),
-                _ => return Err(b"02"),
-            },
-            ([b'G', _], _) if model != Model::Urg04lx || letters != b"GE" => {
-                Self::Latest(asked(letters, digits, unit, model)?)
-            }
-            ([.., b'M', b'D' | b'S' | b'E'], _) if model != Model::Urg04lx || letters != b"ME" => {
-                let asked = asked(letters, digits, unit, model)?;
-                let (skipped, count) = digits.get(10..).unwrap_or_default().split_at(1);
-                let skipped = number(skipped).ok_or(b"06")?;
-                Self::Stream { asked, skipped, count: number(count).ok_or(b"07")? }
-            }
-            _ => Self::Locking,
+/// Digits of a command, as many as it has.
+struct Digits<'a> {
+    letters: &'a [u8],
+    digits: &'a [u8],
+    model: Model,
+}
+
+impl Digits<'_> {
+    fn unit(&self) -> Unit {
+        if self.letters.starts_with(b"%") { Unit::Microseconds } else { Unit::Milliseconds }
+    }
+
+    fn clock(self) -> Result<Command, Refusal> {
+        match (self.digits, self.unit()) {
+            (b"0", Unit::Milliseconds) => Ok(Command::EnterClockMode),
+            (b"1", unit) => Ok(Command::Clock(unit)),
+            (b"2", Unit::Milliseconds) => Ok(Command::LeaveClockMode),
+            _ => Err(b"01"),
+        }
+    }
+
+    fn baud_rate(self) -> Result<Command, Refusal> {
+        Ok(Command::BaudRate(Some(match self.digits {
+            b"019200" => BaudRate::B19200,
+            // "Some sensor models may not be compatible" (p. 16), and so is none here.
+            b"038400" => return Ok(Command::BaudRate(None)),
+            b"057600" => BaudRate::B57600,
+            b"115200" => BaudRate::B115200,
+            b"250000" => BaudRate::B250000,
+            b"500000" => BaudRate::B500000,
+            b"750000" => BaudRate::B750000,
+            digits if digits.iter().all(u8::is_ascii_digit) => return Err(b"02"),
+            _ => return Err(b"01"),
+        })))
+    }
+
+    fn motor_speed(self) -> Result<Command, Refusal> {
+        match self.number(0..2).ok_or(b"01")? {
+            speed @ (0..=10 | 99) => Ok(Command::MotorSpeed(speed as u8)),
+            _ => Err(b"02"),
+        }
+    }
+
+    fn sensitivity(self) -> Result<Command, Refusal> {
+        match self.digits {
+            // Seen on a URG-04LX with firmware 3.1.04.
+            _ if self.model == Model::Urg04lx => Err(b"0C"),
+            b"0" | b"1" => Ok(Command::Sensitivity),
+            _ => Err(b"01"),
+        }
+    }
+
+    fn stream(self) -> Result<Command, Refusal> {
+        let asked = self.asked()?;
+        let skipped = self.number(10..11).ok_or(b"06")?;
+        Ok(Command::Stream { asked, skipped, count: self.number(11..13).ok_or(b"07")? })
+    }
+
+    fn asked(&self) -> Result<Asked, Refusal> {
+        let start = self.number(0..4).ok_or(b"01")?;
+        let end = self.number(4..8).ok_or(b"02")?;
+        let cluster = self.number(8..10).ok_or(b"03")?;
+        let data = match self.letters.last() {
+            Some(b'S') => Data::Short,
+            Some(b'E') => Data::Intensities,
+            _ => Data::Distances,
+        };
+        match () {
+            () if end > self.model.geometry(true).end => Err(b"04"),
+            () if start > end => Err(b"05"),
+            () => Ok(Asked { data, steps: Steps { start, end, cluster }, unit: self.unit() }),
+        }
+    }
+
+    fn number(&self, place: Range<usize>) -> Option<u16> {
+        self.digits.get(place)?.iter().try_fold(0, |number, digit| {
+            digit.is_ascii_digit().then(|| number * 10 + u16::from(digit - b'0'))
         })
     }
-}
-
-/// Number of digits that a command has on this model, or `None` if the model does not know it.
-fn parameters(letters: &[u8], model: Model) -> Option<usize> {
-    let has_intensities = matches!(model, Model::Utm30lx | Model::Ust10lx);
-    Some(match letters {
-        b"VV" | b"PP" | b"II" | b"BM" | b"QT" | b"RS" | b"RT" | b"RB" => 0,
-        b"%ST" | b"%SL" if model == Model::Ust10lx => 0,
-        b"TM" => 1,
-        b"%TM" if model == Model::Ust10lx => 1,
-        b"HS" if !has_intensities => 1,
-        b"CR" => 2,
-        b"SS" => 6,
-        b"GD" | b"GS" => 10,
-        b"GE" if has_intensities => 10,
-        b"MD" | b"MS" => 13,
-        b"ME" if has_intensities => 13,
-        b"%MD" | b"%ME" if model == Model::Ust10lx => 13,
-        // They lock it, with valid parameters.
-        b"GE" | b"HD" | b"HE" if model == Model::Urg04lx => 10,
-        b"ME" | b"ND" | b"NE" if model == Model::Urg04lx => 13,
-        _ => return None,
-    })
-}
-
-fn asked(letters: &[u8], digits: &[u8], unit: Unit, model: Model) -> Result<Asked, Refusal> {
-    let part = |from: usize, to: usize| number(digits.get(from..to).unwrap_or_default());
-    let start = part(0, 4).ok_or(b"01")?;
-    let end = part(4, 8).ok_or(b"02")?;
-    let cluster = part(8, 10).ok_or(b"03")?;
-    if end > model.geometry(true).end {
-        return Err(b"04");
-    }
-    if start > end {
-        return Err(b"05");
-    }
-    let data = match letters.last() {
-        Some(b'S') => Data::Short,
-        Some(b'E') => Data::Intensities,
-        _ => Data::Distances,
-    };
-    Ok(Asked { data, steps: Steps { start, end, cluster }, unit })
-}
-
-fn baud_rate(digits: &[u8]) -> Result<Option<BaudRate>, Refusal> {
-    Ok(Some(match digits {
-        b"019200" => BaudRate::B19200,
-        // "Some sensor models may not be compatible" (p. 16), and so is none here.
-        b"038400" => return Ok(None),
-        b"057600" => BaudRate::B57600,
-        b"115200" => BaudRate::B115200,
-        b"250000" => BaudRate::B250000,
-        b"500000" => BaudRate::B500000,
-        b"750000" => BaudRate::B750000,
-        _ if digits.iter().all(u8::is_ascii_digit) => return Err(b"02"),
-        _ => return Err(b"01"),
-    }))
-}
-
-fn number(digits: &[u8]) -> Option<u16> {
-    digits.iter().try_fold(0, |number, digit| {
-        digit.is_ascii_digit().then(|| number * 10 + u16::from(digit - b'0'))
-    })
 }

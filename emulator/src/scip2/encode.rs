@@ -58,25 +58,3 @@ pub(super) fn number<const N: usize>(number: u64) -> [u8; N] {
     }
     characters
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// The numbers of the text (p. 6 to 8).
-    #[test]
-    fn numbers_have_two_three_four_or_eleven_characters() {
-        assert_eq!(&number::<2>(1234), b"CB");
-        assert_eq!(&number::<3>(5432), b"1Dh");
-        assert_eq!(&number::<4>(16_000_000), b"m2@0");
-        // 64 bits: the first character has four.
-        assert_eq!(&number::<11>(u64::MAX), b"?oooooooooo");
-    }
-
-    #[test]
-    fn a_sum_may_end_before_an_arrow() {
-        let lines = ["SCSP:Initial(600[rpm])<-Default setting by user"];
-        assert!(texts(b"II", lines, false).ends_with(b"by user;A\n\n"));
-        assert!(texts(b"II", lines, true).ends_with(b"by user;[\n\n"));
-    }
-}

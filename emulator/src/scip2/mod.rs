@@ -10,6 +10,7 @@ mod encode;
 mod session;
 mod texts;
 
+pub(super) use self::command::Command;
 pub(super) use self::encode::status_only;
 pub use self::session::Quirk;
 pub(super) use self::session::{Session, Times};

@@ -7,6 +7,7 @@ use tokio::time::Instant;
 use super::command::{Asked, Command, Data, Unit};
 use super::{encode, texts};
 use crate::body::{Answer, Body, Effect, Measure, Steps};
+use crate::line_buffer::CommandLine;
 use crate::models::Model;
 
 /// Longest time between the two `RB` that restart a sensor.
@@ -91,30 +92,18 @@ impl Session {
         self.stream = None;
     }
 
-    /// Returns true if the line is a command without a mistake.
-    pub(crate) fn is_valid(line: &[u8], too_long: bool, model: Model) -> bool {
-        Command::parse(line, too_long, model).is_ok()
-    }
-
-    /// Steps that the line asks for, if it asks for the newest scan.
-    pub(crate) fn latest(line: &[u8], model: Model) -> Option<Steps> {
-        match Command::parse(line, false, model) {
-            Ok(Command::Latest(asked)) => Some(asked.steps),
-            _ => None,
-        }
-    }
-
     /// Executes a command line. Calls `measure` only if distances are sent.
     pub(crate) fn execute(
         &mut self,
         body: &mut Body,
-        line: &[u8],
-        too_long: bool,
+        arrived: &CommandLine,
         times: Times,
         measure: Measure<'_>,
     ) -> Answer {
-        let command = match Command::parse(line, too_long, body.model) {
+        let line = &arrived.bytes[..];
+        let command = match Command::parse(line, arrived.too_long, body.model) {
             Err(refusal) => return status(line, refusal),
+            Ok(_) if arrived.repeated => return status(line, b"0B"),
             Ok(command) => command,
         };
         if let Some(refusal) = self.refusal(&command, body) {
@@ -175,7 +164,7 @@ impl Session {
                 Answer { bytes, effect: Effect::Scan }
             }
             Command::Stream { asked, skipped, count } => {
-                self.start(line, asked, skipped, count, times.now);
+                self.start(line, asked, skipped, count, arrived.at);
                 let was_off = !std::mem::replace(&mut body.is_laser_on, true);
                 done(line, Effect::Stream { was_off })
             }
@@ -196,11 +185,7 @@ impl Session {
             C::LeaveClockMode if !self.is_in_clock_mode => b"03",
             // "It will not accept any other commands" (p. 15). urg_library knows the mode by 0E.
             _ if self.is_in_clock_mode && !command.is_for_clock_mode() => {
-                if is_new {
-                    b"10"
-                } else {
-                    b"0E"
-                }
+                if body.model == Model::Ust10lx { b"10" } else { b"0E" }
             }
             C::EnterClockMode if is_new && self.stream.is_some() => b"10",
             C::LaserOn | C::Stream { .. } | C::EnterClockMode if self.is_asleep => b"10",
@@ -221,13 +206,13 @@ impl Session {
         &mut self,
         body: &mut Body,
         times: Times,
-        refusal: Option<[u8; 2]>,
+        refusal: Option<u8>,
         measure: Measure<'_>,
     ) -> Vec<u8> {
         let Some(stream) = &mut self.stream else { return Vec::new() };
         stream.count_down();
         let mut bytes = match refusal {
-            Some(refusal) => encode::status_only(&stream.echo, refusal),
+            Some(refusal) => encode::status_only(&stream.echo, [b'0', refusal]),
             None => {
                 let is_halved = stream.is_halved;
                 scan(body, &stream.echo, *b"99", stream.asked, times, is_halved, measure)
@@ -272,15 +257,14 @@ impl Session {
         let milliseconds = (times.clock / 1000) & 0xFF_FFFF;
         let lines = texts::state(body, milliseconds, encode::number(milliseconds));
         let bytes = encode::texts(line, lines, self.quirks.contains(&Quirk::ShortStateSums));
-        match (&mut self.stream, body.model) {
-            (Some(stream), Model::Ust10lx) => stream.split_by.extend(bytes),
-            (Some(stream), Model::Utm30lx) => {
-                stream.is_halved = true;
-                return bytes.into();
+        if let Some(stream) = &mut self.stream {
+            stream.is_halved |= body.model == Model::Utm30lx;
+            if body.model == Model::Ust10lx {
+                stream.split_by.extend(bytes);
+                return Answer::default();
             }
-            _ => return bytes.into(),
         }
-        Answer::default()
+        bytes.into()
     }
 
     fn state_code(&self, body: &Body) -> &'static [u8; 3] {

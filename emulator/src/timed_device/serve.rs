@@ -6,6 +6,7 @@ use tokio::time::Instant;
 
 use super::{TimedDevice, TimedEvent};
 use crate::body::{Answer, Effect};
+use crate::device::Device;
 use crate::faults::{Aftermath, Delivery, Fault};
 use crate::journal::SentScan;
 use crate::line_buffer::CommandLine;
@@ -137,7 +138,8 @@ impl TimedDevice {
         self.journal.counts.replies += 1;
         let (time, times) = self.times(at, &faults);
         let mut measure = self.source.measure_at(time);
-        let bytes = self.device.next_scan(times, refusal(&faults), &mut measure);
+        let Device { session, body, .. } = &mut self.device;
+        let bytes = session.next_scan(body, times, refusal(&faults), &mut measure);
         drop(measure);
         self.record_scan(requested_at, time);
         if !faults.contains(&Fault::CommandLost) {

@@ -186,9 +186,10 @@ async fn each_model_answers_with_its_status() {
 
 #[tokio::test(start_paused = true)]
 async fn distances_have_two_or_three_characters_and_intensities_three() {
-    let world = Fixed::new([1234, 70_000, 19, 1, 65_533, 300]);
+    let world = Fixed::new([1234, 70_000, 19, 1, 65_533, 300, 5432]);
     for (model, command, data) in [
         (Model::Ust10lx, "GD0000000001", "0CBe"),
+        (Model::Ust10lx, "GD0006000601", "1DhM"),
         (Model::Ust10lx, "GD0000000301", "0CBA5`00C001o"),
         // 70,000 mm do not fit.
         (Model::Ust10lx, "GS0000000301", "CBoo0C01g"),
