@@ -51,9 +51,6 @@ impl fmt::Debug for EmulatorBuilder {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("EmulatorBuilder")
             .field("body", &self.body)
-            .field("timing", &self.timing)
-            .field("revolution", &self.revolution)
-            .field("drift", &self.drift)
             .field("faults", &self.faults)
             .field("seed", &self.seed)
             .finish_non_exhaustive()
@@ -303,11 +300,10 @@ impl EmulatorBuilder {
         }
         timing.frame = self.frame.unwrap_or(timing.frame);
         body.baud_rate = body.baud_rate.filter(|_| model == Model::Urg04lx);
-        let in_scip2 = self.mode != Mode::Scip1 || model != Model::Urg04lx;
-        body.is_laser_on = !in_scip2;
-        let mut device = Device { body, dialect, session, is_in_scip2: in_scip2 };
+        let mut device = Device { body, dialect, session, is_in_scip2: false };
         device.set_mode(self.mode, now);
-        device.body.is_laser_on = self.laser.unwrap_or(device.body.is_laser_on);
+        let is_measuring = !device.is_in_scip2 || device.session.stream().is_some();
+        device.body.is_laser_on = self.laser.unwrap_or(is_measuring);
 
         let world = self.world.unwrap_or_else(|| Box::new(Room::new(seed)));
         let source = Source { world, playback: self.playback };

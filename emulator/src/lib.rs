@@ -1,10 +1,10 @@
-//! A Hokuyo URG laser range sensor in software, which speaks SCIP 1.1, to test a service without
-//! hardware.
+//! A Hokuyo laser range sensor in software, which speaks SCIP 1.1 or SCIP 2, to test a service
+//! without hardware.
 //!
-//! [`Emulator`] behaves like a URG sensor, by the protocol text and by what is known of real
-//! sensors. It answers `V`, `L`, `S` and `G`, keeps the state of its laser and its baud rate,
-//! and needs as much time as a real sensor. It measures a [`Room`] with people in it, or your
-//! own [`Scene`] or [`World`]. It injects [`Faults`] on demand. The same seed and the same
+//! [`Emulator`] behaves like a sensor of one [`Model`], by the protocol texts and by what is known
+//! of real sensors. It answers their commands, keeps the state of its laser, its clock and its
+//! baud rate, and needs as much time as a real sensor. It measures a [`Room`] with people in it, or
+//! your own [`Scene`] or [`World`]. It injects [`Faults`] on demand. The same seed and the same
 //! commands at the same times give the same bytes.
 //!
 //! ```
@@ -33,7 +33,9 @@
 //!   [`Emulator::serve_tcp`] on TCP, or `Pty` on a pseudo-terminal (Unix, with feature
 //!   `pty`).
 //!
-//! # Answers that the protocol text leaves open
+//! # Answers that the protocol texts leave open
+//!
+//! In SCIP 1.1:
 //!
 //! | command | status |
 //! |---|---|
@@ -47,10 +49,17 @@
 //! | starting point greater than end point | `5` |
 //!
 //! The first five come from drivers that ran on real sensors. The other three are this
-//! emulator's choice, because the text only demands "an error status". It plays a sensor that
-//! knows only SCIP 1.1. A client that tries SCIP 2 first sees its commands refused and falls
-//! back; the URG driver of Player does, and then reads all scans. A cluster count of `00`
-//! works as `01`. Lines of more than 64 bytes are cut and refused.
+//! emulator's choice, because the text only demands "an error status". A client that tries SCIP 2
+//! first sees its commands refused and falls back, or sends `SCIP2.0` to a sensor that knows it
+//! ([`Firmware::V31`]). A cluster count of `00` works as `01`. Lines of more than 64 bytes are cut
+//! and refused.
+//!
+//! In SCIP 2, a model does what is known of it: `II` during a stream makes a UTM send halves of
+//! scans, and the answer of a UST comes within a scan; a command for intensities or several echoes
+//! locks a URG-04LX until its power is cut. This emulator's choice are `0E` for an unknown command,
+//! `0C` for a short and `0D` for a long one; a second stream replaces the first; in clock mode other
+//! commands are refused with `0E`, by a UST with `10`; `GS` and `MS` send 4095 for what does not
+//! fit; `CR01` to `CR10` slow the motor down by as many percent.
 
 mod body;
 mod builder;

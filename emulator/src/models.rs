@@ -102,6 +102,14 @@ impl Model {
         })
     }
 
+    /// Number of bytes that a host can leave unread: of fast models as many as 2 s of scans.
+    pub(crate) const fn buffered_bytes(self) -> usize {
+        match self {
+            Self::Urg04lx | Self::Urg04lxUg01 => 16 * 1024,
+            Self::Utm30lx | Self::Ust10lx => 256 * 1024,
+        }
+    }
+
     pub(crate) const fn is_on_ethernet(self) -> bool {
         matches!(self, Self::Ust10lx)
     }

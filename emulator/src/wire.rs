@@ -13,10 +13,6 @@ use tokio::time::Instant;
 /// Throughput of a sensor on USB, measured on a URG-04LX.
 const USB_BYTES_PER_SECOND: u32 = 375_000;
 
-/// While this many bytes are unread, the sensor sends nothing unsolicited and leaves commands
-/// waiting. So a host that does not read costs no memory.
-const HIGH_WATER_BYTES: usize = 16 * 1024;
-
 /// Longest time between two wake-ups of the reader while a reply arrives. The first and
 /// the last byte are always on time. In between, a longer time means fewer wake-ups and
 /// less exact times.
@@ -112,11 +108,14 @@ pub(super) struct Transmitter {
     free: Instant,
     /// Bytes to repeat for ever.
     endless: Option<Vec<u8>>,
+    /// While this many bytes are unread, the sensor sends nothing unsolicited and leaves commands
+    /// waiting. So a host that does not read costs no memory.
+    high_water: usize,
 }
 
 impl Transmitter {
-    pub(super) fn new(now: Instant) -> Self {
-        Self { segments: VecDeque::new(), unread: 0, free: now, endless: None }
+    pub(super) fn new(now: Instant, high_water: usize) -> Self {
+        Self { segments: VecDeque::new(), unread: 0, free: now, endless: None, high_water }
     }
 
     /// Sends `bytes` at `at`, or as soon as the line is free. `baud_rate` is the
@@ -151,7 +150,7 @@ impl Transmitter {
 
     /// Returns true if the host has too many unread bytes for the sensor to send more.
     pub(super) fn is_full(&self) -> bool {
-        self.unread >= HIGH_WATER_BYTES
+        self.unread >= self.high_water
     }
 
     /// Starts to repeat `pattern`, or stops if it is `None` or empty.
@@ -256,7 +255,7 @@ impl Transmitter {
 
     /// Drops all bytes, unread ones included, as when the cable is pulled.
     pub(super) fn clear(&mut self, now: Instant) {
-        *self = Self { endless: self.endless.take(), ..Self::new(now) };
+        *self = Self { endless: self.endless.take(), ..Self::new(now, self.high_water) };
     }
 }
 

@@ -177,3 +177,21 @@ fn a_hard_room_has_more_error_codes() {
     let missing = values(&scan).iter().filter(|&&value| value < 20).count();
     assert!((300..=450).contains(&missing), "{missing} of 682");
 }
+
+#[test]
+fn another_model_is_emulated_on_tcp() {
+    use std::io::{Read, Write};
+    let sensor = Emulated::start("--model ust-10lx --tcp 0 --serial-number H1");
+    let address = sensor.port.strip_prefix("tcp://").unwrap();
+    let mut client = std::net::TcpStream::connect(address).unwrap();
+    client.write_all(b"VV\n").unwrap();
+    let mut reply = Vec::new();
+    while !reply.ends_with(b"\n\n") {
+        let mut byte = [0];
+        client.read_exact(&mut byte).unwrap();
+        reply.push(byte[0]);
+    }
+    let reply = String::from_utf8(reply).unwrap();
+    assert!(reply.starts_with("VV\n00P\n") && reply.contains("\nPROD:UST-10LX;M\n"), "{reply}");
+    assert!(reply.ends_with("\nSERI:H1;V\n\n"), "{reply}");
+}

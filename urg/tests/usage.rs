@@ -63,6 +63,8 @@ fn an_invalid_command_line_exits_with_2() {
         "baud emulated",
         "emulate --faults rain=0.5",
         "emulate --tcp 4001 --link here",
+        "emulate --model utm-30lx --baud 19200",
+        "emulate --model lms100",
     ] {
         let output = run(arguments, 2);
         assert_eq!(output.stdout, "", "{arguments}");

@@ -90,11 +90,12 @@ impl TimedDevice {
         now: Instant,
     ) -> Self {
         let ready = now + timing.boot;
+        let high_water = device.body.model.buffered_bytes();
         Self {
             device,
             journal,
             faults,
-            transmitter: Transmitter::new(now),
+            transmitter: Transmitter::new(now, high_water),
             is_hung_up: false,
             is_gone: false,
             source,

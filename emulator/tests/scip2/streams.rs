@@ -191,3 +191,21 @@ async fn a_stream_outlives_its_client() {
         assert_eq!(listen(&mut link).await, "");
     }
 }
+
+/// The buffers of a host hold some scans.
+#[tokio::test(start_paused = true)]
+async fn a_host_may_pause_for_a_second() {
+    for model in [Model::Utm30lx, Model::Ust10lx] {
+        let emulator = sensor(model).log_capacity(100).build();
+        let mut link = emulator.link();
+        ask(&mut link, "MD0000108001000").await;
+        for _ in 0..3 {
+            tokio::time::advance(1000 * MS).await;
+            for _ in 0..20 {
+                assert_eq!(listen(&mut link).await.len(), 3372);
+            }
+        }
+        let sent = emulator.sent_scans();
+        assert!(sent.windows(2).all(|two| two[1].time.revolution == two[0].time.revolution + 1));
+    }
+}

@@ -9,7 +9,7 @@ use tokio::net::TcpListener;
 use tokio_scip::BaudRate;
 #[cfg(unix)]
 use urg_emulator::Pty;
-use urg_emulator::{Emulator, Faults, Firmware, Room};
+use urg_emulator::{Emulator, Faults, Firmware, Model, Room};
 
 use crate::args::{duration, listen_address};
 use crate::failure::Failure;
@@ -18,14 +18,15 @@ use crate::output::notice::notice;
 /// Emulate a sensor for other programs, until Ctrl-C
 ///
 /// The sensor measures a room where people walk. By default it is a URG-04LX on USB,
-/// on a pseudo-terminal that you open like a serial port. With the same seed it sends
-/// the same scans at the same times.
+/// on a pseudo-terminal that you open like a serial port. Other models speak SCIP 2, which
+/// `urg` itself does not read yet. With the same seed it sends the same scans at the same times.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   urg emulate --link /tmp/urg                   then: urg stream /tmp/urg
   urg emulate --tcp 4001                        then: urg stream tcp://127.0.0.1:4001
-  urg emulate --link /tmp/urg --baud 19200 --faults late=0.01:2s,lost=0.01")]
+  urg emulate --link /tmp/urg --baud 19200 --faults late=0.01:2s,lost=0.01
+  urg emulate --model ust-10lx --tcp 10940      for a program that speaks SCIP 2")]
 pub(crate) struct Emulate {
     /// Symbolic link to create to the pseudo-terminal; replaces a link left by an
     /// earlier emulator
@@ -41,19 +42,23 @@ pub(crate) struct Emulate {
     #[arg(long, value_name = "ADDR", value_parser = listen_address)]
     #[cfg_attr(unix, arg(conflicts_with = "link"))]
     tcp: Option<String>,
+    /// Model of the sensor
+    #[arg(long, value_enum, default_value_t = ModelName::Urg04lx)]
+    model: ModelName,
     /// Emulate RS-232 at this baud rate instead of USB; a real sensor has 19200 after
-    /// power-up
+    /// power-up. Only a URG-04LX has RS-232
     #[arg(long, value_name = "RATE")]
     baud: Option<BaudRate>,
-    /// Firmware dialect of the sensor
+    /// Firmware dialect of a URG-04LX
     #[arg(long, value_enum, default_value_t = FirmwareDialect::V3)]
     firmware: FirmwareDialect,
     /// Serial number of the sensor
     #[arg(long, value_name = "NUMBER", default_value = "H0713090", value_parser = serial_number)]
     serial_number: String,
-    /// Duration of one revolution of the motor, and so of one scan
-    #[arg(long, value_name = "TIME", default_value = "100ms", value_parser = duration)]
-    revolution: Duration,
+    /// Duration of one revolution of the motor, and so of one scan; by default 100ms of a URG,
+    /// 25ms of a UTM or UST
+    #[arg(long, value_name = "TIME", value_parser = duration)]
+    revolution: Option<Duration>,
     /// Room around the sensor
     #[arg(long, value_enum, default_value_t = RoomKind::Easy)]
     room: RoomKind,
@@ -65,9 +70,37 @@ pub(crate) struct Emulate {
     ///
     /// The names are late and pause (with a maximum time), lost, command-lost,
     /// damaged, doubled, merged, noise (with a maximum length in bytes, such as
-    /// noise=0.01:64), reset, hang-up, and seed=NUMBER.
+    /// noise=0.01:64), reset, hang-up, and seed=NUMBER; in SCIP 2 also wrong-sum, ignored (an
+    /// answer without effect) and clock-jump (with a maximum time).
     #[arg(long, value_name = "SPEC")]
     faults: Option<Faults>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum ModelName {
+    /// SCIP 1.1 on USB or RS-232, 10 scans a second
+    #[value(name = "urg-04lx")]
+    Urg04lx,
+    /// SCIP 2 on USB, 10 scans a second
+    #[value(name = "urg-04lx-ug01")]
+    Urg04lxUg01,
+    /// SCIP 2 on USB, 40 scans a second
+    #[value(name = "utm-30lx")]
+    Utm30lx,
+    /// SCIP 2 on Ethernet, 40 scans a second
+    #[value(name = "ust-10lx")]
+    Ust10lx,
+}
+
+impl From<ModelName> for Model {
+    fn from(name: ModelName) -> Self {
+        match name {
+            ModelName::Urg04lx => Self::Urg04lx,
+            ModelName::Urg04lxUg01 => Self::Urg04lxUg01,
+            ModelName::Utm30lx => Self::Utm30lx,
+            ModelName::Ust10lx => Self::Ust10lx,
+        }
+    }
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -76,6 +109,8 @@ enum FirmwareDialect {
     Text,
     /// As in real sensors: V has six lines, unknown commands get the reply E
     V3,
+    /// The same, and SCIP2.0 switches to SCIP 2
+    V31,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -88,6 +123,9 @@ enum RoomKind {
 
 impl Emulate {
     pub(crate) async fn run(self) -> Result<(), Failure> {
+        if self.baud.is_some() && self.model != ModelName::Urg04lx {
+            return Err(Failure::Usage("only a URG-04LX has RS-232: leave out --baud".to_owned()));
+        }
         let emulator = self.emulator();
         match &self.tcp {
             Some(address) => self.serve_tcp(&emulator, address).await,
@@ -97,17 +135,22 @@ impl Emulate {
 
     fn emulator(&self) -> Emulator {
         let builder = Emulator::builder()
+            .model(self.model.into())
             .firmware(match self.firmware {
                 FirmwareDialect::Text => Firmware::Text,
                 FirmwareDialect::V3 => Firmware::V3,
+                FirmwareDialect::V31 => Firmware::V31,
             })
             .serial_number(&self.serial_number)
-            .revolution(self.revolution)
             .seed(self.seed)
             .faults(self.faults.clone().unwrap_or_default());
         let builder = match self.room {
             RoomKind::Easy => builder.world(Room::new(self.seed)),
             RoomKind::Hard => builder.world(Room::hard(self.seed)),
+        };
+        let builder = match self.revolution {
+            Some(revolution) => builder.revolution(revolution),
+            None => builder,
         };
         match self.baud {
             Some(speed) => builder.baud_rate(speed),
@@ -147,10 +190,16 @@ impl Emulate {
     fn announce(&self, port: &str) {
         let line = match self.baud {
             Some(speed) => format!("at {speed} baud"),
+            None if self.model == ModelName::Ust10lx => "on Ethernet".to_owned(),
             None => "on USB".to_owned(),
         };
         notice(format_args!("emulated sensor {} {line}, on {port}", self.serial_number));
-        notice(format_args!("try `urg info {port}`; Ctrl-C stops the sensor"));
+        match self.model {
+            ModelName::Urg04lx => {
+                notice(format_args!("try `urg info {port}`; Ctrl-C stops the sensor"));
+            }
+            _ => notice(format_args!("it speaks SCIP 2; Ctrl-C stops the sensor")),
+        }
     }
 }
 
