@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use tempfile::{NamedTempFile, TempPath};
+use tokio::task::spawn_blocking;
 use urg_recording::{RecordingError, cut, recording_files};
 
 use crate::failure::Failure;
@@ -15,6 +16,9 @@ use crate::interrupt::Interrupt;
 
 /// Calls `copy` with `files` and the output `out`, and returns its outcome once the output is on
 /// the disk. Keeps a new file only if `is_kept` returns true for the outcome.
+///
+/// A disk may hang at any call, so all of them run on blocking threads. After an interrupt, the
+/// program waits for the last ones for a second.
 pub(crate) async fn rewrite<T: Send + 'static>(
     files: Vec<PathBuf>,
     out: &Path,
@@ -22,48 +26,70 @@ pub(crate) async fn rewrite<T: Send + 'static>(
     copy: impl FnOnce(Vec<File>, &mut dyn Write) -> Result<T, RecordingError> + Send + 'static,
     is_kept: impl FnOnce(&T) -> bool,
 ) -> Result<T, Failure> {
-    let created = match is_dash(out) {
-        true => None,
-        false => Some(create(out).map_err(|error| not_created(out, &error))?.into_parts()),
-    };
-    let (output, temporary) = created.unzip();
+    let interrupted =
+        |outcome| Failure::Failed(format!("{}: interrupted, and {outcome}", out.display()));
     let to = out.to_owned();
-    let writing = tokio::task::spawn_blocking(move || {
-        // A folder has several.
-        let files =
-            files.iter().map(|file| recording_files(file).map_err(|error| failure(file, &error)));
-        let files = files.collect::<Result<Vec<_>, _>>()?.concat();
-        let inputs = files.iter().map(|file| open(file)).collect::<Result<_, _>>()?;
-        let written = match &output {
-            Some(file) => buffered(file, |output| copy(inputs, output))
-                .and_then(|outcome| file.sync_all().map(|()| outcome).map_err(write_error)),
-            None => buffered(io::stdout().lock(), |output| copy(inputs, output)),
-        };
-        written.map_err(|error| match (&error, files.as_slice()) {
-            // The unfinished file is removed.
-            (RecordingError::Write { source }, _) if output.is_some() => {
-                Failure::new(format_args!("{}: not written", to.display()), source)
-            }
-            (RecordingError::Write { .. }, _) => failure(&to, &error),
-            (_, [file]) => failure(file, &error),
-            (_, files) => match files.iter().find(|file| !is_readable(file)) {
-                Some(file) => failure(file, &error),
-                None => Failure::new("one of the files", &error),
-            },
-        })
+    let creating = spawn_blocking(move || match is_dash(&to) {
+        true => Ok(None),
+        false => create(&to).map(Some).map_err(|error| not_created(&to, &error)),
     });
+    let created = tokio::select! {
+        created = creating => created.map_err(|error| failure(out, &error))??,
+        () = interrupt.overdue() => return Err(interrupted("not written")),
+    };
+    let (output, temporary) = created.map(NamedTempFile::into_parts).unzip();
+    let to = out.to_owned();
+    let writing = spawn_blocking(move || write(&files, output, &to, copy));
     let outcome = tokio::select! {
-        written = writing => written.map_err(|error| failure(out, &error))??,
+        written = writing => written.unwrap_or_else(|error| Err(failure(out, &error))),
         _ = interrupt.requested() => {
-            let outcome = if temporary.is_some() { "not written" } else { "incomplete" };
-            let name = out.display();
-            return Err(Failure::Failed(format!("{name}: interrupted, and {outcome}")));
+            Err(interrupted(if temporary.is_some() { "not written" } else { "incomplete" }))
         }
     };
-    if let Some(temporary) = temporary.filter(|_| is_kept(&outcome)) {
-        keep(temporary, out).map_err(|error| not_created(out, &error))?;
+    let (to, is_kept) = (out.to_owned(), outcome.as_ref().is_ok_and(is_kept));
+    let ending = spawn_blocking(move || match temporary.filter(|_| is_kept) {
+        Some(temporary) => keep(temporary, &to).map_err(|error| not_created(&to, &error)),
+        // Removed, if it was not kept.
+        None => Ok(()),
+    });
+    tokio::select! {
+        ended = ending => ended.map_err(|error| failure(out, &error))??,
+        () = interrupt.overdue() => if is_kept {
+            return Err(interrupted("perhaps not written"));
+        },
     }
-    Ok(outcome)
+    outcome
+}
+
+/// Copies `files` to `output`, or to standard output, and syncs it. It is `to` in messages.
+fn write<T>(
+    files: &[PathBuf],
+    output: Option<File>,
+    to: &Path,
+    copy: impl FnOnce(Vec<File>, &mut dyn Write) -> Result<T, RecordingError>,
+) -> Result<T, Failure> {
+    // A folder has several.
+    let files =
+        files.iter().map(|file| recording_files(file).map_err(|error| failure(file, &error)));
+    let files = files.collect::<Result<Vec<_>, _>>()?.concat();
+    let inputs = files.iter().map(|file| open(file)).collect::<Result<_, _>>()?;
+    let written = match &output {
+        Some(file) => buffered(file, |output| copy(inputs, output))
+            .and_then(|outcome| file.sync_all().map(|()| outcome).map_err(write_error)),
+        None => buffered(io::stdout().lock(), |output| copy(inputs, output)),
+    };
+    written.map_err(|error| match (&error, files.as_slice()) {
+        // The unfinished file is removed.
+        (RecordingError::Write { source }, _) if output.is_some() => {
+            Failure::new(format_args!("{}: not written", to.display()), source)
+        }
+        (RecordingError::Write { .. }, _) => failure(to, &error),
+        (_, [file]) => failure(file, &error),
+        (_, files) => match files.iter().find(|file| !is_readable(file)) {
+            Some(file) => failure(file, &error),
+            None => Failure::new("one of the files", &error),
+        },
+    })
 }
 
 /// Creates a temporary file beside `path`, such as `run.mcap.a1B2c3.part`, which is removed on
