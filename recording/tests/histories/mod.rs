@@ -297,9 +297,7 @@ impl History {
     fn write_for_others(&self, seed: u64) {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("histories");
         std::fs::create_dir_all(&folder).unwrap();
-        // The `mcap` of PyPI (1.6.0) does not skip new fields in a chunk.
-        let is_readable = |file: &File| file.is_complete && file.has_index;
-        for (number, file) in self.shelf.iter().enumerate().filter(|(_, file)| is_readable(file)) {
+        for (number, file) in self.shelf.iter().enumerate().filter(|(_, file)| file.is_complete) {
             let path = folder.join(format!("{seed}_{number}.mcap"));
             let line = |message: &Message| {
                 let topic = message.topic.split(' ').next().unwrap_or_default();
