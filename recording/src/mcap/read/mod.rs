@@ -182,10 +182,7 @@ impl Sections {
                     self.used = length;
                     return Ok(Some(Section::Record { kind: extent.kind, content }));
                 }
-                kind => {
-                    if kind == kind::MESSAGE_INDEX {
-                        self.has_chunks = Some(true);
-                    }
+                _ => {
                     if !self.window.skip_with(extent.end, |_| {})? {
                         return Ok(self.end_early());
                     }
