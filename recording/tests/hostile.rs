@@ -167,6 +167,21 @@ fn a_message_index_does_not_become_a_message() {
     assert_eq!((outcome.messages, outcome.damaged_at), (2, vec![before.len() as u64]));
 }
 
+/// A message whose kind is damaged, and whose number is the length of a list, looks like one.
+#[test]
+fn a_damaged_message_does_not_hide_the_next_ones() {
+    let damaged = record(0x00, 0, &event(0)[9..]);
+    for data in [&b""[..], b"data"] {
+        let index = of_kind(0x07, &[&[0, 0, 16][..], &[0; 19], data].concat());
+        let three = [event(0), event(0), event(0)].concat();
+        for parts in [[&index, &three, &damaged, &three], [&damaged, &three, &index, &three]] {
+            let file = [MAGIC, &channel(), &event(0), &parts.map(Vec::as_slice).concat(), &end()];
+            let (damaged, records, is_truncated) = read(&file.concat());
+            assert_eq!((damaged.len(), records, is_truncated), (1, 7, false), "{data:?}");
+        }
+    }
+}
+
 #[test]
 fn fields_and_kinds_of_later_versions_are_skipped() {
     let more = |record: Vec<u8>| of_kind(record[0], &[&record[9..], b"123456"].concat());

@@ -129,6 +129,9 @@ impl Sections {
             let Some(extent) = self.window.measure()? else {
                 return self.resynchronise(WRONG_HEAD);
             };
+            if extent.kind == kind::MESSAGE {
+                self.has_chunks.get_or_insert(false);
+            }
             let next = self.next_start(&extent)?;
             if next < extent.end {
                 let error = self.damaged(WRONG_HEAD);
@@ -165,7 +168,7 @@ impl Sections {
                     }
                     let content = RECORD_HEAD..extent.fields as usize;
                     if extent.kind == kind::MESSAGE
-                        && *self.has_chunks.get_or_insert(false)
+                        && self.has_chunks == Some(true)
                         && is_message_index(self.window.bytes(content.clone()))
                     {
                         return self.resynchronise(WRONG_HEAD);
