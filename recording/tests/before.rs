@@ -87,8 +87,8 @@ async fn a_black_box_holds_at_most_4_mib() {
     }
     recorder.trigger();
     let progress = recorder.finish().await.unwrap();
-    // The newest ones, each with its values of four bytes and 128 bytes besides.
-    let held = (4 << 20) / (4 * 682 + 128);
+    // The newest ones, each with its values of two bytes and 128 bytes besides.
+    let held = (4 << 20) / (2 * 682 + 128);
     assert_eq!((progress.scans, progress.lost), (held, 0));
     let numbers: Vec<_> = sink.records().iter().map(|record| record.sequence).collect();
     assert!(numbers.into_iter().eq(5000 - held as u32..5000));
