@@ -32,6 +32,8 @@ pub(crate) enum Effect {
     None,
     /// Laser switched on, which takes a revolution.
     LaserOn,
+    /// The reply comes this many microseconds later.
+    Wait(u64),
     /// Baud rate that changes a revolution later.
     BaudRate(BaudRate),
     /// Speed of the motor: this many percent below the nominal one.

@@ -49,11 +49,7 @@ pub struct EmulatorBuilder {
 
 impl fmt::Debug for EmulatorBuilder {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("EmulatorBuilder")
-            .field("body", &self.body)
-            .field("faults", &self.faults)
-            .field("seed", &self.seed)
-            .finish_non_exhaustive()
+        f.debug_struct("EmulatorBuilder").field("body", &self.body).finish_non_exhaustive()
     }
 }
 

@@ -47,7 +47,7 @@ impl Device {
 
     pub(crate) fn set_mode(&mut self, mode: Mode, now: Instant) {
         self.is_in_scip2 = mode != Mode::Scip1 || self.body.model != Model::Urg04lx;
-        self.session.stop();
+        self.session.power_up();
         if mode == Mode::Scip2Streaming {
             self.session.leave_streaming(&mut self.body, now);
         }
@@ -81,7 +81,7 @@ impl Device {
     /// Returns true if a line gets a reply at all.
     pub(crate) fn answers(&self, line: &CommandLine) -> bool {
         match () {
-            () if self.session.is_locked() => false,
+            () if self.session.is_locked => false,
             () if line.bytes.is_empty() => self.dialect.empty_command != EmptyCommand::Silence,
             () if self.is_in_scip2 => true,
             () => self.dialect.answers(&Command::parse(&line.bytes, line.too_long)),

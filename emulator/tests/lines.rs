@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use proptest::prelude::*;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use urg_emulator::{EmptyCommand, Emulator, Faults, Firmware};
+use urg_emulator::{EmptyCommand, Emulator, Faults, Firmware, Mode, Model};
 
 use super::instant_sensor;
 
@@ -27,6 +27,7 @@ fn line() -> impl Strategy<Value = Vec<u8>> {
     prop_oneof![
         "[VLSGX][0-9]{0,14}".prop_map(String::into_bytes),
         "G[0-7][0-9]{2}[0-7][0-9]{2}[0-9]{2}".prop_map(String::into_bytes),
+        "[%GMTVPIBQRSCHN][ADEMPSTVR0-2][0-9]{0,15}(;.{0,18})?".prop_map(String::into_bytes),
         proptest::collection::vec(any::<u8>(), 0..80),
     ]
     .prop_map(|line| line.into_iter().filter(|byte| !b"\r\n".contains(byte)).collect())
@@ -46,6 +47,28 @@ proptest! {
         prop_assert!(rest[0] == b'0' || rest.len() == 3);
         prop_assert_eq!(rest.windows(2).position(|pair| pair == b"\n\n"), Some(rest.len() - 2));
         prop_assert!(rest.split(|&byte| byte == b'\n').all(|line| line.len() <= 64));
+    }
+
+    #[test]
+    fn a_reply_in_scip_2_has_a_status_and_its_sum(line in line(), number in 0..4_usize) {
+        let model = [Model::Urg04lx, Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx][number];
+        let emulator = instant_sensor().model(model).mode(Mode::Scip2).build();
+        let mut reply = &replies(&emulator, &[&line[..], b"\n"].concat())[..];
+        // Empty, or a command that locks the sensor.
+        let is_silent = line.is_empty() || reply.is_empty() && model == Model::Urg04lx;
+        prop_assert_eq!(reply.is_empty(), is_silent);
+        let echo = &line[..line.len().min(64)];
+        let mut count = 0;
+        while let Some(end) = reply.windows(2).position(|pair| pair == b"\n\n") {
+            let frame = &reply[..end];
+            let lines: Vec<&[u8]> = frame[echo.len() + 1..].split(|&byte| byte == b'\n').collect();
+            prop_assert!(count > 0 || frame.starts_with(&[echo, b"\n"].concat()));
+            prop_assert!(lines[0].len() == 3 && lines.iter().all(|line| line.len() <= 66));
+            let sum = lines[0][..2].iter().fold(0, |sum, byte| sum + u32::from(*byte));
+            prop_assert_eq!(u32::from(lines[0][2]), (sum & 63) + 48);
+            (reply, count) = (&reply[end + 2..], count + 1);
+        }
+        prop_assert!(reply.is_empty() || count > 1);
     }
 
     #[test]

@@ -173,6 +173,10 @@ mod terminal {
         let mut client = open(&served.path, 57_600);
         client.write_all(b"L0\n").await.unwrap();
         tokio::time::sleep(Duration::from_millis(20)).await;
+        // On a busy host this task may wake first.
+        for _ in 0..10 {
+            tokio::task::yield_now().await;
+        }
         client.set_baud_rate(19_200).unwrap();
         client.write_all(b"\n").await.unwrap();
         let line = received(&emulator).await;

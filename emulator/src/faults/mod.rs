@@ -61,8 +61,8 @@ pub enum Fault {
     WrongSum,
     /// The sensor's clock moves forward by this number of milliseconds, or back, before the reply.
     ClockJump(i64),
-    /// After sending this number of bytes of the reply, the sensor restarts: 19,200 baud, laser
-    /// on, silent for its boot time.
+    /// After sending this number of bytes of the reply, the sensor restarts, as at a
+    /// [power cycle](super::Emulator::power_cycle).
     Reset(usize),
     /// Hangs up the link after this number of bytes of the reply: reads return the end of the
     /// stream, and you have to open the link again.

@@ -32,6 +32,8 @@ pub enum Quirk {
     SerialSumApart,
     /// The sums of `II` end before `<-`: as of some UTM-30LX.
     ShortStateSums,
+    /// `TM1` is answered when the clock reaches a multiple of 5 ms: as of a UST with firmware 4.0.2.
+    ClockTicks,
 }
 
 /// State of a sensor in SCIP 2.
@@ -42,7 +44,7 @@ pub(crate) struct Session {
     is_in_clock_mode: bool,
     is_asleep: bool,
     /// True if the sensor answers nothing until its power is cut.
-    is_locked: bool,
+    pub(crate) is_locked: bool,
     motor_speed: u8,
     rebooted_at: Option<Instant>,
 }
@@ -70,10 +72,6 @@ impl Session {
         *self = Self { quirks: std::mem::take(&mut self.quirks), ..Self::default() };
     }
 
-    pub(crate) fn is_locked(&self) -> bool {
-        self.is_locked
-    }
-
     pub(crate) fn stream(&self) -> Option<&Stream> {
         self.stream.as_ref().filter(|_| !self.is_locked)
     }
@@ -86,10 +84,6 @@ impl Session {
         let asked = Asked { data: Data::Distances, steps, unit: Unit::Milliseconds };
         self.start(line.as_bytes(), asked, 0, 0, now);
         body.is_laser_on = true;
-    }
-
-    pub(crate) fn stop(&mut self) {
-        self.stream = None;
     }
 
     /// Executes a command line. Calls `measure` only if distances are sent.
@@ -146,7 +140,11 @@ impl Session {
                 self.is_in_clock_mode = !self.is_asleep;
                 done(line, Effect::None)
             }
-            Command::Clock(unit) => encode::characters(line, &time(times.clock, unit)).into(),
+            Command::Clock(unit) => {
+                let tick = if self.quirks.contains(&Quirk::ClockTicks) { 5000 } else { 1 };
+                let effect = Effect::Wait(times.clock.next_multiple_of(tick) - times.clock);
+                Answer { bytes: encode::characters(line, &time(times.clock, unit)), effect }
+            }
             Command::LeaveClockMode => {
                 self.is_in_clock_mode = false;
                 done(line, Effect::None)

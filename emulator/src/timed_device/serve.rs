@@ -45,10 +45,12 @@ impl TimedDevice {
         let Answer { bytes, effect } = self.execute(at, &line, &faults);
 
         let duration = self.byte_time() * bytes.len() as u32;
-        let was_off = matches!(effect, Effect::LaserOn | Effect::Stream { was_off: true });
-        let at = match was_off && self.timing.pace == Pace::PerRevolution {
-            true => at + self.motor.period(),
-            false => at,
+        let at = match (effect, self.timing.pace) {
+            (Effect::LaserOn | Effect::Stream { was_off: true }, Pace::PerRevolution) => {
+                at + self.motor.period()
+            }
+            (Effect::Wait(micros), _) => at + Duration::from_micros(micros),
+            _ => at,
         };
         let start = self.send_reply(at, bytes, faults, random);
         // A late reply is delayed on its way, which does not keep the sensor busy.
@@ -89,7 +91,7 @@ impl TimedDevice {
     /// Does what a command has set off, once it is answered at `at`.
     fn take_effect(&mut self, at: Instant, effect: Effect) {
         match effect {
-            Effect::None | Effect::LaserOn | Effect::Scan => {}
+            Effect::None | Effect::LaserOn | Effect::Wait(_) | Effect::Scan => {}
             Effect::BaudRate(baud_rate) => {
                 let change = (at + self.motor.period()).max(self.transmitter.free());
                 self.schedule(change, TimedEvent::BaudRate(baud_rate));

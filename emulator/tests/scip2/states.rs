@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use tokio::io::AsyncReadExt;
 use tokio::time::sleep;
-use urg_emulator::{Emulator, Link, Model};
+use urg_emulator::{Emulator, Link, Model, Quirk};
 
 use super::{MODELS, sensor};
 use crate::ask;
@@ -173,5 +173,20 @@ async fn two_reboots_within_a_second_restart() {
             _ => ("BM", "00P"),
         };
         assert_eq!(ask(&mut link, command).await, format!("{command}\n{status}\n\n"));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_clock_may_be_told_on_ticks() {
+    let start = tokio::time::Instant::now();
+    let mut link = sensor(Model::Ust10lx).quirk(Quirk::ClockTicks).build().link();
+    for pause in [1, 2, 3, 7, 11, 13] {
+        sleep(Duration::from_millis(pause)).await;
+        let asked = start.elapsed().as_millis();
+        let told = clock(&mut link, "TM1").await;
+        let answered = start.elapsed().as_millis();
+        // The time is that of the request, or of the millisecond after it.
+        assert!(told == asked || told == asked + 1, "{told} {asked}");
+        assert!(answered >= told.next_multiple_of(5) && answered <= told / 5 * 5 + 7, "{answered}");
     }
 }
