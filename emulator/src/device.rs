@@ -59,21 +59,17 @@ impl Device {
 
     /// Returns whether a line is a command of a protocol that the sensor knows.
     pub(crate) fn verdict(&self, line: &CommandLine) -> Verdict {
-        let model = self.body.model;
+        let (model, knows_both) = (self.body.model, self.dialect.firmware == Firmware::V31);
         let is_of_scip1 = || match Command::parse(&line.bytes, line.too_long) {
-            Command::Scip2 => self.dialect.firmware == Firmware::V31,
+            Command::Scip2 => knows_both,
             Command::Undefined | Command::Invalid(_) => false,
             _ => true,
         };
-        let knows_scip2 = self.is_in_scip2 || self.dialect.firmware == Firmware::V31;
+        let is_of_scip2 = || scip2::Command::parse(&line.bytes, line.too_long, model).is_ok();
         match () {
             () if line.bytes.is_empty() => Verdict::Empty,
             () if model == Model::Urg04lx && is_of_scip1() => Verdict::WellFormed,
-            () if knows_scip2
-                && scip2::Command::parse(&line.bytes, line.too_long, model).is_ok() =>
-            {
-                Verdict::WellFormed
-            }
+            () if (self.is_in_scip2 || knows_both) && is_of_scip2() => Verdict::WellFormed,
             () => Verdict::Malformed,
         }
     }
@@ -91,11 +87,14 @@ impl Device {
     /// First and last step that the line asks for, if it asks for the newest scan and the laser is
     /// on.
     pub(crate) fn asked_steps(&self, line: &CommandLine) -> Option<(u16, u16)> {
-        let (line, too_long) = (&line.bytes, line.too_long);
+        let (line, too_long, model) = (&line.bytes, line.too_long, self.body.model);
         let steps = match (self.is_in_scip2, Command::parse(line, too_long)) {
             (false, Command::Scan(steps)) => steps,
             (false, _) => return None,
-            (true, _) => scip2::Command::parse(line, too_long, self.body.model).ok()?.latest()?,
+            (true, _) => match scip2::Command::parse(line, too_long, model) {
+                Ok(scip2::Command::Latest(asked)) => asked.steps,
+                _ => return None,
+            },
         };
         self.body.is_laser_on.then_some((steps.start, steps.end))
     }

@@ -8,6 +8,7 @@ use tokio::time::Instant;
 use super::device::Mode;
 use super::faults::{Fault, Faults};
 use super::journal::{Counts, Received, SentScan};
+use super::line_buffer::LineBuffer;
 use super::link::{HostBaudRate, Link};
 use super::shared::{Plugged, Shared};
 use super::timed_device::TimedDevice;
@@ -59,8 +60,9 @@ impl Emulator {
             let before = plugged.host;
             plugged.sensor.advance(Instant::now(), before);
             if plugged.sensor.device.body.model.is_on_ethernet() {
-                // What was sent on another connection is lost.
+                // What was sent on another connection is lost, both ways.
                 plugged.sensor.unplug(Instant::now());
+                plugged.sensor.line = LineBuffer::default();
             }
             plugged.sensor.is_hung_up = false;
             plugged.host = baud_rate.bits_per_second();

@@ -52,7 +52,7 @@ pub(crate) enum Unit {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Asked {
     pub(super) data: Data,
-    pub(super) steps: Steps,
+    pub(crate) steps: Steps,
     pub(super) unit: Unit,
 }
 
@@ -131,11 +131,6 @@ impl Command {
             Ordering::Greater => Err(b"0D"),
             Ordering::Equal => read(Digits { letters, digits, model }),
         }
-    }
-
-    /// Steps of the newest scan that the command asks for.
-    pub(crate) const fn latest(&self) -> Option<Steps> {
-        if let Self::Latest(asked) = self { Some(asked.steps) } else { None }
     }
 
     /// Returns true if a sensor in clock mode accepts the command.

@@ -59,7 +59,7 @@ pub(super) struct TimedDevice {
     pub(super) motor: Motor,
     pub(super) clock: Clock,
     powered_at: Instant,
-    line: LineBuffer,
+    pub(super) line: LineBuffer,
     /// When the host's last byte has arrived.
     receiving_until: Instant,
     waiting: VecDeque<CommandLine>,

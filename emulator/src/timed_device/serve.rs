@@ -136,17 +136,23 @@ impl TimedDevice {
         let Some(stream) = self.device.session.stream() else { return };
         let (faults, random) = self.faults.draw(&stream.echo);
         let (requested_at, skipped) = (stream.requested_at, stream.skipped);
-        self.next_stream = self.motor.end(self.motor.finished(at) + u64::from(skipped));
         self.journal.counts.replies += 1;
         let (time, times) = self.times(at, &faults);
+        let refusal = refusal(&faults);
         let mut measure = self.source.measure_at(time);
         let Device { session, body, .. } = &mut self.device;
-        let bytes = session.next_scan(body, times, refusal(&faults), &mut measure);
+        let bytes = session.next_scan(body, times, refusal, &mut measure);
         drop(measure);
-        self.record_scan(requested_at, time);
-        if !faults.contains(&Fault::CommandLost) {
-            self.send_reply(at + self.timing.latency, bytes, faults, random);
+        // A slow line costs whole revolutions.
+        let next = self.motor.end(self.motor.finished(at) + u64::from(skipped));
+        self.next_stream = next.max(at + self.byte_time() * bytes.len() as u32);
+        if faults.contains(&Fault::CommandLost) {
+            return;
         }
+        if refusal.is_none() {
+            self.record_scan(requested_at, time);
+        }
+        self.send_reply(at + self.timing.latency, bytes, faults, random);
     }
 
     /// Puts a reply with its faults on the line, and returns the time of its first bit.

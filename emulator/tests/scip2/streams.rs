@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::{Instant, sleep};
+use tokio_scip::BaudRate;
 use urg_emulator::{Emulator, Mode, Model, Pace, Values, WorldTime};
 
 use super::{MODELS, sensor};
@@ -207,5 +208,31 @@ async fn a_host_may_pause_for_a_second() {
         }
         let sent = emulator.sent_scans();
         assert!(sent.windows(2).all(|two| two[1].time.revolution == two[0].time.revolution + 1));
+    }
+}
+
+/// 2,137 bytes take 186 ms at 115,200 baud.
+#[tokio::test(start_paused = true)]
+async fn a_slow_line_costs_whole_revolutions() {
+    let emulator = sensor(Model::Urg04lx).baud_rate(BaudRate::B115200).build();
+    let mut link = emulator.link();
+    link.set_baud_rate(BaudRate::B115200).unwrap();
+    ask(&mut link, "MD0044072501000").await;
+    for _ in 0..20 {
+        assert_eq!(listen(&mut link).await.len(), 2137);
+    }
+    let sent = emulator.sent_scans();
+    assert!(sent.windows(2).all(|two| two[1].time.revolution == two[0].time.revolution + 2));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_new_connection_begins_with_a_new_line() {
+    for (model, reply) in [(Model::Utm30lx, "BQT\n0Ee\n\n"), (Model::Ust10lx, "QT\n00P\n\n")] {
+        let emulator = sensor(model).build();
+        let mut link = emulator.link();
+        link.write_all(b"B").await.unwrap();
+        sleep(MS).await;
+        drop(link);
+        assert_eq!(ask(&mut emulator.link(), "QT").await, reply);
     }
 }
