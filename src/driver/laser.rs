@@ -9,7 +9,7 @@ use tokio::time::Instant;
 use super::backoff::Backoff;
 use super::failure::ExchangeError;
 use super::session::Session;
-use crate::state::Telemetry;
+use crate::state::Shared;
 use crate::{ErrorChain, ErrorKind, Window};
 
 /// Shortest and longest delay between attempts to switch a laser that stays as it is.
@@ -27,7 +27,7 @@ pub(crate) struct Laser {
     is_reported: bool,
     /// Windows that the sensor refuses to measure.
     refused: Vec<RefusedWindow>,
-    telemetry: Arc<Telemetry>,
+    shared: Arc<Shared>,
 }
 
 /// Window that the sensor refuses to measure. Another window may be fine: each backs off for
@@ -42,14 +42,14 @@ struct RefusedWindow {
 }
 
 impl Laser {
-    pub(crate) fn new(telemetry: Arc<Telemetry>) -> Self {
+    pub(crate) fn new(shared: Arc<Shared>) -> Self {
         Self {
             is_off: false,
             retry_at: None,
             backoff: Backoff::new(RETRY),
             is_reported: false,
             refused: Vec::new(),
-            telemetry,
+            shared,
         }
     }
 
@@ -129,7 +129,7 @@ impl Laser {
 
     fn set_off(&mut self, is_off: bool) {
         self.is_off = is_off;
-        self.telemetry.set_laser_off(is_off);
+        self.shared.counters.set_laser_off(is_off);
     }
 
     /// Records that the sensor measured `window`.

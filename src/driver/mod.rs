@@ -39,7 +39,7 @@ use self::request::RequestQueue;
 pub(crate) use self::request::{Request, Responder};
 use self::supervisor::Supervisor;
 use crate::port::AnyConnect;
-use crate::state::Telemetry;
+use crate::state::Shared;
 use crate::{Error, ErrorKind};
 
 /// Number of queued requests before callers have to wait.
@@ -81,7 +81,7 @@ impl fmt::Debug for Driver {
 #[derive(Debug, Clone)]
 pub(crate) struct Client {
     sender: mpsc::Sender<Box<Request>>,
-    telemetry: Arc<Telemetry>,
+    shared: Arc<Shared>,
     observers: Arc<ReplyObservers>,
     depth: usize,
 }
@@ -95,7 +95,7 @@ impl Client {
     ) -> Result<T, Error> {
         let (responder, answer) = oneshot::channel();
         if self.sender.send(Box::new(request(responder))).await.is_err() {
-            return Err(self.telemetry.closed().await);
+            return Err(self.shared.link.closed().await);
         }
         self.wait_for(answer).await
     }
@@ -113,9 +113,9 @@ impl Client {
             () = self.sender.closed() => answer.try_recv().ok(),
         };
         match outcome {
-            Some(outcome) => outcome.map_err(|kind| self.telemetry.error(kind)),
+            Some(outcome) => outcome.map_err(|kind| self.shared.link.error(kind)),
             // The driver drops a request in progress before it stores the cause.
-            None => Err(self.telemetry.closed().await),
+            None => Err(self.shared.link.closed().await),
         }
     }
 
@@ -129,8 +129,8 @@ impl Client {
         self.depth
     }
 
-    pub(crate) fn telemetry(&self) -> &Telemetry {
-        &self.telemetry
+    pub(crate) fn shared(&self) -> &Shared {
+        &self.shared
     }
 
     /// Observers of all replies.
@@ -147,15 +147,15 @@ pub(crate) fn new(connect: Box<dyn AnyConnect>, mut config: Config) -> (Client, 
     let span =
         tracing::error_span!("sensor", sensor = name.as_deref().map(tracing::field::display));
     let (sender, receiver) = mpsc::channel(QUEUE_CAPACITY);
-    let telemetry = Arc::new(Telemetry::new(name));
+    let shared = Arc::new(Shared::new(name));
     let depth = config.depth;
     let queue = RequestQueue::new(receiver, config.request_timeout);
     // A copy: a clone of the builder may create another driver, which must not share it.
     let observers = Arc::new(ReplyObservers::clone(&config.observers));
     config.observers = Arc::clone(&observers);
     // In its own block: a future keeps an argument twice, as it was passed and as it is used.
-    let supervisor = Box::new(Supervisor::new(connect, config, queue, Arc::clone(&telemetry)));
-    let client = Client { sender, telemetry, observers, depth };
+    let supervisor = Box::new(Supervisor::new(connect, config, queue, Arc::clone(&shared)));
+    let client = Client { sender, shared, observers, depth };
     (client, Driver { run: Box::pin(supervisor.run().instrument(span)) })
 }
 

@@ -12,7 +12,7 @@ use super::laser::Laser;
 use super::session::{Identity, Leftovers, MotorSpeed, Session};
 use crate::port::{AnyConnect, Port};
 use crate::protocol::Text;
-use crate::state::Telemetry;
+use crate::state::Shared;
 use crate::{BaudRate, Error, ErrorChain, ErrorKind};
 
 /// One revolution of a URG's motor.
@@ -28,7 +28,7 @@ const CANDIDATE_TIME: Duration = Duration::from_millis(40);
 pub(crate) struct Opener {
     connect: Box<dyn AnyConnect>,
     config: Config,
-    telemetry: Arc<Telemetry>,
+    shared: Arc<Shared>,
     laser: Laser,
     /// Baud rate to restore whenever the sensor may have lost it: the builder's, or the latest
     /// that the sensor has confirmed.
@@ -52,12 +52,12 @@ impl Opener {
     pub(crate) fn new(
         mut connect: Box<dyn AnyConnect>,
         config: Config,
-        telemetry: Arc<Telemetry>,
+        shared: Arc<Shared>,
     ) -> Self {
         let asked = connect.hints().and_then(|hints| hints.expected_serial_number());
         let asked = asked.map(Text::from);
         Self {
-            laser: Laser::new(Arc::clone(&telemetry)),
+            laser: Laser::new(Arc::clone(&shared)),
             baud_rate: config.baud_rate,
             is_reported: false,
             found: None,
@@ -69,7 +69,7 @@ impl Opener {
             scan_time: REVOLUTION,
             connect,
             config,
-            telemetry,
+            shared,
         }
     }
 
@@ -133,8 +133,8 @@ impl Opener {
         let leftovers = std::mem::take(&mut self.leftovers);
         let reply_latency = self.config.reply_latency;
         let observers = Arc::clone(&self.config.observers);
-        let telemetry = Arc::clone(&self.telemetry);
-        let mut session = Session::new(port, reply_latency, leftovers, observers, telemetry);
+        let shared = Arc::clone(&self.shared);
+        let mut session = Session::new(port, reply_latency, leftovers, observers, shared);
         match self.find(&mut session, laser, self.config.open_timeout).await {
             Ok(()) => Ok(session),
             Err(failure) => {
@@ -198,7 +198,7 @@ impl Opener {
                 Some(MotorSpeed::Untold) | None => REVOLUTION,
             };
         }
-        self.telemetry.set_version(reply);
+        self.shared.link.set_version(reply);
         if let Some(hints) = self.connect.hints() {
             hints.found();
         }

@@ -10,7 +10,7 @@ use tokio::time::{Instant, sleep_until};
 
 use crate::protocol::Version;
 use crate::ring::Cursor;
-use crate::state::Telemetry;
+use crate::state::LinkState;
 use crate::{BaudRate, ErrorKind, Rate, Scan, Window};
 
 /// Sender for the answer to a request.
@@ -167,7 +167,7 @@ impl RequestQueue {
 
     /// While there is no link: returns the next request that needs none. The others wait until
     /// they expire with the reason why there is no link. Cancel-safe.
-    pub(crate) async fn next_unlinked(&mut self, link: &Telemetry) -> Result<Unlinked, Abandoned> {
+    pub(crate) async fn next_unlinked(&mut self, link: &LinkState) -> Result<Unlinked, Abandoned> {
         loop {
             if let Some(request) = self.next.take().filter(|request| !request.is_abandoned()) {
                 self.desired.record(&request);
@@ -201,11 +201,11 @@ impl RequestQueue {
         }
     }
 
-    fn expire(&mut self, link: &Telemetry) {
+    fn expire(&mut self, link: &LinkState) {
         let now = Instant::now();
         while self.waiting.front().is_some_and(|waiting| waiting.expires <= now) {
             if let Some(waiting) = self.waiting.pop_front() {
-                waiting.request.fail(link.link_error());
+                waiting.request.fail(link.reason());
             }
         }
     }
@@ -240,7 +240,7 @@ mod tests {
         let (responder, _answer) = oneshot::channel();
         assert!(sender.send(Box::new(Request::Version(responder))).await.is_ok());
         assert!(
-            queue.next_unlinked(&Telemetry::new(None)).now_or_never().is_none(),
+            queue.next_unlinked(&LinkState::new(None)).now_or_never().is_none(),
             "it needs a link"
         );
         assert!(matches!(poll_fn(|cx| queue.poll_ready(cx)).now_or_never(), Some(Ok(()))));
@@ -256,7 +256,7 @@ mod tests {
             let (responder, answer) = oneshot::channel();
             assert!(sender.send(Box::new(Request::Version(responder))).await.is_ok());
             assert!(
-                queue.next_unlinked(&Telemetry::new(None)).now_or_never().is_none(),
+                queue.next_unlinked(&LinkState::new(None)).now_or_never().is_none(),
                 "it waits for a link"
             );
             // One in a hundred is kept. The others are abandoned while they wait.

@@ -13,7 +13,7 @@ use tokio::time::Instant;
 use super::rate_meter::RateMeter;
 use crate::ring::{Cursor, Ring};
 use crate::scan::Scan;
-use crate::state::Telemetry;
+use crate::state::Counters;
 use crate::stats::ScheduleStats;
 use crate::{BaudRate, Error, ErrorKind, Rate, Window};
 
@@ -180,10 +180,10 @@ impl Schedules {
     }
 
     /// Publishes the statistics if they have changed.
-    pub(crate) fn publish(&mut self, telemetry: &Telemetry) {
+    pub(crate) fn publish(&mut self, counters: &Counters) {
         if std::mem::take(&mut self.changed) {
             let rings = self.all.iter().map(|one| (one.stats(), Arc::downgrade(&one.ring)));
-            telemetry.set_schedules(rings);
+            counters.set_schedules(rings);
         }
     }
 

@@ -23,7 +23,7 @@ use super::serve::{Service, Stop};
 use super::session::Session;
 use super::transport::Timer;
 use crate::port::AnyConnect;
-use crate::state::{State, Telemetry};
+use crate::state::{Shared, State};
 use crate::{Error, ErrorChain, ErrorKind};
 
 /// Runs the whole driver: opens a session, serves it, and replaces it when it is lost.
@@ -35,14 +35,14 @@ pub(crate) struct Supervisor {
     offline: OfflineQueue,
     backoff: Backoff,
     config: Config,
-    telemetry: Arc<Telemetry>,
+    shared: Arc<Shared>,
 }
 
 /// Requests and schedules, which outlive each link.
 struct OfflineQueue {
     queue: RequestQueue,
     schedules: Schedules,
-    telemetry: Arc<Telemetry>,
+    shared: Arc<Shared>,
 }
 
 impl Supervisor {
@@ -50,18 +50,18 @@ impl Supervisor {
         connect: Box<dyn AnyConnect>,
         config: Config,
         queue: RequestQueue,
-        telemetry: Arc<Telemetry>,
+        shared: Arc<Shared>,
     ) -> Self {
-        let opener = Opener::new(connect, config.clone(), Arc::clone(&telemetry));
+        let opener = Opener::new(connect, config.clone(), Arc::clone(&shared));
         let schedules = Schedules::default();
-        let offline = OfflineQueue { queue, schedules, telemetry: Arc::clone(&telemetry) };
+        let offline = OfflineQueue { queue, schedules, shared: Arc::clone(&shared) };
         Self {
-            _final_state: FinalState(Arc::clone(&telemetry)),
+            _final_state: FinalState(Arc::clone(&shared)),
             opener,
             offline,
             backoff: Backoff::new(config.backoff),
             config,
-            telemetry,
+            shared,
         }
     }
 
@@ -80,13 +80,13 @@ impl Supervisor {
                 Ok(())
             }
             Ok(Stop::Link(failure)) => {
-                let error = self.telemetry.error(failure.into_kind());
+                let error = self.shared.link.error(failure.into_kind());
                 self.end(Some(&error));
                 Err(error)
             }
             Err(payload) => {
                 let message = panic_message(&*payload);
-                let error = self.telemetry.error(ErrorKind::Panicked { message });
+                let error = self.shared.link.error(ErrorKind::Panicked { message });
                 self.end(Some(&error));
                 resume_unwind(payload)
             }
@@ -96,7 +96,7 @@ impl Supervisor {
     /// Enters the final state, and ends all streams.
     fn end(&mut self, error: Option<&Error>) {
         self.offline.pause();
-        self.telemetry.enter(State::Closed { error: error.cloned() });
+        self.shared.enter(State::Closed { error: error.cloned() });
         self.offline.schedules.end(error);
     }
 
@@ -127,17 +127,17 @@ impl Supervisor {
     async fn serve(&mut self, session: &mut Session) -> Stop {
         let baud_rate = session.baud_rate();
         let serial_number = self.opener.serial_number();
-        self.telemetry.enter(State::Connected { baud_rate, streaming: false, serial_number });
+        self.shared.enter(State::Connected { baud_rate, streaming: false, serial_number });
         let scan_time = self.opener.scan_time();
         let probe_interval = self.config.idle_probe.interval(session.can_die_silently());
-        let reconnects = self.telemetry.stats().reconnects;
+        let reconnects = self.shared.counters.stats().reconnects;
         let (laser, baud_rate) = self.opener.settings();
         let mut service = Service {
             queue: &mut self.offline.queue,
             laser,
             baud_rate,
             schedules: &mut self.offline.schedules,
-            telemetry: &self.telemetry,
+            shared: &self.shared,
             scan_time,
             probe_interval,
             motor_clock: session.delivers_intact().then(|| MotorClock::new(scan_time)),
@@ -150,7 +150,7 @@ impl Supervisor {
         self.offline.pause();
         self.offline.queue.lose_link();
         // What is known about the motor belongs to the session.
-        self.telemetry.stats().motor = None;
+        self.shared.counters.stats().motor = None;
         stop
     }
 
@@ -171,8 +171,8 @@ impl Supervisor {
             if !self.config.wait_for_sensor || again && !may_pass {
                 return Err(LinkError::Lost(kind).into());
             }
-            let error = self.telemetry.error(kind.clone());
-            self.telemetry.enter(State::Connecting { error: Some(error) });
+            let error = self.shared.link.error(kind.clone());
+            self.shared.enter(State::Connecting { error: Some(error) });
             self.offline.run(None, self.opener.back_off(self.backoff.next())).await?;
             latest = Some(kind);
         }
@@ -181,14 +181,14 @@ impl Supervisor {
     /// Looks for a silent sensor on the open port. It may have been reset to
     /// another baud rate.
     async fn recover(&mut self, mut session: Session, kind: ErrorKind) -> Result<Session, Stop> {
-        self.telemetry.enter(State::Recovering);
-        let error = self.telemetry.error(kind.clone());
+        self.shared.enter(State::Recovering);
+        let error = self.shared.link.error(kind.clone());
         let laser = self.offline.queue.desired.laser;
         let search = self.opener.find_again(&mut session, laser);
         let found = self.offline.run(Some(&error), search).await?;
         match found {
             Ok(()) => {
-                self.telemetry.stats().reconnects += 1;
+                self.shared.counters.stats().reconnects += 1;
                 Ok(session)
             }
             Err(ended @ LinkError::Ended(_)) => Err(ended.into()),
@@ -207,32 +207,32 @@ impl Supervisor {
             ErrorKind::Disconnected { .. } => cause,
             _ => ErrorKind::disconnected(None),
         };
-        self.telemetry.stats().disconnects += 1;
+        self.shared.counters.stats().disconnects += 1;
         if !self.config.reconnect {
             return Err(LinkError::Lost(kind).into());
         }
-        let error = self.telemetry.error(kind);
+        let error = self.shared.link.error(kind);
         self.offline.schedules.fail_all(&error);
         let since = Instant::now();
-        self.telemetry.enter(State::Disconnected { since, error: error.clone() });
+        self.shared.enter(State::Disconnected { since, error: error.clone() });
         let mut latest = error;
         loop {
             self.offline.run(Some(&latest), self.opener.back_off(self.backoff.next())).await?;
             let laser = self.offline.queue.desired.laser;
             let error = match self.offline.run(Some(&latest), self.opener.open(laser)).await? {
                 Ok(session) => {
-                    self.telemetry.stats().reconnects += 1;
+                    self.shared.counters.stats().reconnects += 1;
                     return Ok(session);
                 }
                 Err(ended @ LinkError::Ended(_)) => return Err(ended.into()),
-                Err(failure) => self.telemetry.error(failure.into_kind()),
+                Err(failure) => self.shared.link.error(failure.into_kind()),
             };
             let repeats = discriminant(error.kind()) == discriminant(latest.kind());
             if repeats && !error.is_transient() {
                 // The error repeats, and waiting cannot cure it: tell the streams.
                 self.offline.schedules.fail_all(&error);
             }
-            self.telemetry.enter(State::Disconnected { since, error: error.clone() });
+            self.shared.enter(State::Disconnected { since, error: error.clone() });
             latest = error;
         }
     }
@@ -242,7 +242,7 @@ impl OfflineQueue {
     /// Stops polling, so that no schedule shows a rate.
     fn pause(&mut self) {
         self.schedules.pause();
-        self.schedules.publish(&self.telemetry);
+        self.schedules.publish(&self.shared.counters);
     }
 
     /// Runs `work` while there is no link, and serves the requests that need none. New
@@ -257,7 +257,7 @@ impl OfflineQueue {
             tokio::select! {
                 biased;
                 done = &mut work => return Ok(done),
-                request = self.queue.next_unlinked(&self.telemetry) => match request {
+                request = self.queue.next_unlinked(&self.shared.link) => match request {
                     Ok(Unlinked::Subscribe { window, rate, depth, responder }) => {
                         let stream = self.schedules.subscribe(window, rate, depth, trouble);
                         // Drops the stream if no caller waits for it.
@@ -276,18 +276,18 @@ impl Drop for OfflineQueue {
     /// end: a caller whose request is dropped looks up the cause itself.
     fn drop(&mut self) {
         self.pause();
-        let cause = self.telemetry.cause();
+        let cause = self.shared.link.cause();
         self.schedules.end(Some(&cause));
     }
 }
 
 /// Enters the final state when a driver is dropped, so that no caller waits for another
 /// state.
-struct FinalState(Arc<Telemetry>);
+struct FinalState(Arc<Shared>);
 
 impl Drop for FinalState {
     fn drop(&mut self) {
-        if !self.0.is_closed() {
+        if !self.0.link.is_closed() {
             self.0.enter(State::Closed { error: None });
         }
     }

@@ -75,7 +75,7 @@ impl Sensor {
     /// protocol text C-42-3320-A). Sends no command, so the `STAT:` line may be outdated. Waits for
     /// a link if there is none.
     pub async fn version(&self) -> Result<Version, Error> {
-        match self.client.telemetry().version() {
+        match self.client.shared().link.version() {
             Some(version) => Ok(version),
             None => self.client.ask(Request::Version).await,
         }
@@ -188,8 +188,7 @@ impl Sensor {
         &self,
         observer: impl Fn(RawReply<'_>) + Send + Sync + 'static,
     ) -> ReplyObservation {
-        let telemetry = self.client.telemetry();
-        if let Some(version) = telemetry.version_reply() {
+        if let Some(version) = self.client.shared().link.version_reply() {
             observer(RawReply {
                 command: Some(Command::Version),
                 bytes: &version.frame,
@@ -203,18 +202,18 @@ impl Sensor {
     /// When the last good scan arrived, over all streams and single scans, and why there is no
     /// newer one.
     pub fn freshness(&self) -> Freshness {
-        self.client.telemetry().freshness()
+        self.client.shared().freshness()
     }
 
     /// Counters since the driver started, across all links.
     pub fn stats(&self) -> Stats {
-        self.client.telemetry().snapshot()
+        self.client.shared().counters.snapshot()
     }
 
     /// Watches the state of the driver and its link. Read it, wait for a
     /// [connected](StateWatch::connected) sensor, or [for any state](StateWatch::wait_for).
     pub fn watch_state(&self) -> StateWatch {
-        self.client.telemetry().watch()
+        self.client.shared().link.watch()
     }
 
     /// Closes the port and stops the driver. If there is a link, earlier requests are answered
@@ -226,7 +225,7 @@ impl Sensor {
     /// one fence: 1.5 s and their time on the wire, unless you set
     /// [`reply_latency`](SensorBuilder::reply_latency).
     pub async fn close(&self) {
-        let _closing = self.client.telemetry().closing();
+        let _closing = self.client.shared().closing.announce();
         // Any outcome means that the driver has ended.
         let _ = self.client.ask(Request::Close).await;
     }

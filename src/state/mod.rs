@@ -15,19 +15,32 @@
 //! # }
 //! ```
 
+mod closing;
+mod counters;
 mod freshness;
 mod link_log;
+mod link_state;
+mod shared;
 #[expect(clippy::module_inception, reason = "it is named after its type")]
 mod state;
-mod telemetry;
 mod watch;
 
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+pub(crate) use self::counters::Counters;
 #[doc(no_inline)]
 pub use self::freshness::Freshness;
 pub use self::freshness::StaleError;
+pub(crate) use self::link_state::{LinkState, VersionReply};
+pub(crate) use self::shared::Shared;
 #[doc(no_inline)]
 pub use self::state::State;
 #[cfg(feature = "serde")]
 use self::state::{chain_if_any, elapsed};
-pub(crate) use self::telemetry::{Telemetry, VersionReply};
 pub use self::watch::StateWatch;
+
+#[inline(never)]
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // Counters and plain values: always consistent.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

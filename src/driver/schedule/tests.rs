@@ -48,12 +48,12 @@ async fn what_has_been_due_for_longest_goes_first() {
 async fn equal_schedules_are_one_and_one_without_readers_ends() {
     let same = (Window::FULL, Rate::UNLIMITED);
     let (mut schedules, readers) = schedules(&[same, same]);
-    let telemetry = Telemetry::new(None);
-    schedules.publish(&telemetry);
-    assert_eq!(telemetry.snapshot().schedules.len(), 1);
+    let counters = Counters::default();
+    schedules.publish(&counters);
+    assert_eq!(counters.snapshot().schedules.len(), 1);
     assert!(schedules.take_due(Instant::now()).is_some());
     drop(readers);
-    assert_eq!(telemetry.snapshot().schedules, [], "before the driver has noticed");
+    assert_eq!(counters.snapshot().schedules, [], "before the driver has noticed");
     assert!(schedules.take_due(Instant::now()).is_none());
     assert!(schedules.is_empty());
 }

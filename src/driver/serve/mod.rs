@@ -18,7 +18,7 @@ use super::request::{Abandoned, Request, RequestQueue, Responder};
 use super::schedule::Schedules;
 use super::session::Session;
 use super::transport::Timer;
-use crate::state::Telemetry;
+use crate::state::Shared;
 use crate::{BaudRate, ErrorKind};
 
 /// Why a session is no longer served.
@@ -71,7 +71,7 @@ pub(crate) struct Service<'a> {
     pub(crate) laser: &'a mut Laser,
     /// Baud rate to restore.
     pub(crate) baud_rate: &'a mut Option<BaudRate>,
-    pub(crate) telemetry: &'a Telemetry,
+    pub(crate) shared: &'a Shared,
     pub(crate) scan_time: Duration,
     /// Silence after which an idle link is probed, if it is.
     pub(crate) probe_interval: Option<Duration>,
@@ -160,7 +160,7 @@ impl Service<'_> {
         self.answer(session, request).await?;
         // One of the streams may have been dropped since the last request.
         self.schedules.drop_unread();
-        self.schedules.publish(self.telemetry);
+        self.schedules.publish(&self.shared.counters);
         Ok(())
     }
 
@@ -177,7 +177,7 @@ impl Service<'_> {
         match request {
             Request::Version(responder) => {
                 // The version was read when the sensor was found.
-                let known = self.telemetry.version().ok_or(ErrorKind::Closed);
+                let known = self.shared.link.version().ok_or(ErrorKind::Closed);
                 let _ = responder.send(known);
                 Ok(())
             }
@@ -223,7 +223,7 @@ impl Service<'_> {
     /// Updates the state only on a change, because a user may hold a borrow of it.
     fn publish_streaming(&mut self, now: bool) {
         if std::mem::replace(&mut self.streaming, now) != now {
-            self.telemetry.set_streaming(now);
+            self.shared.link.set_streaming(now);
         }
     }
 }

@@ -30,7 +30,7 @@ impl Service<'_> {
             match acquired {
                 Err(ExchangeError::Command(
                     ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
-                )) if tries > 0 && !self.telemetry.is_closing() => {}
+                )) if tries > 0 && !self.shared.closing.is_announced() => {}
                 Ok(acquired) => return Ok(self.scan_from(window, acquired)),
                 Err(failure) => return Err(failure),
             }
@@ -39,7 +39,7 @@ impl Service<'_> {
 
     pub(super) async fn poll_due(&mut self, session: &mut Session) -> Result<(), Stop> {
         let Some((poll, skipped)) = self.schedules.take_due(Instant::now()) else {
-            self.schedules.publish(self.telemetry);
+            self.schedules.publish(&self.shared.counters);
             return Ok(());
         };
         // Earlier, the session would have to confirm the reply, which costs a revolution.
@@ -63,19 +63,19 @@ impl Service<'_> {
             self.warn_of_shortfall(poll);
         }
         if ended.repeats || ended.newly_missed > 0 || skipped > 0 {
-            let mut stats = self.telemetry.stats();
+            let mut stats = self.shared.counters.stats();
             stats.repeats += u64::from(ended.repeats);
             stats.polls_skipped += skipped;
             stats.missed = self.schedules.missed();
         }
-        self.schedules.publish(self.telemetry);
+        self.schedules.publish(&self.shared.counters);
         Ok(())
     }
 
     #[cold]
     fn fail(&mut self, poll: DuePoll, failure: ExchangeError) -> Result<Ended, LinkError> {
         let kind = command_error(failure)?;
-        Ok(self.schedules.fail(poll, &self.telemetry.error(kind)))
+        Ok(self.schedules.fail(poll, &self.shared.link.error(kind)))
     }
 
     /// Handles the failure of a poll. If the sensor refused because its laser is off, and this
@@ -96,7 +96,8 @@ impl Service<'_> {
             failure => Err(failure),
         };
         if let Err(failure) = &outcome {
-            self.telemetry.fail(failure.kind().clone());
+            let error = self.shared.link.error(failure.kind().clone());
+            self.shared.counters.fail(error);
         }
         outcome
     }
@@ -129,7 +130,7 @@ impl Service<'_> {
         let (revolution, motor) = clock.map_or_else(Default::default, |clock| {
             (clock.observe(times.requested, times.began), clock.stats())
         });
-        let mut stats = self.telemetry.stats();
+        let mut stats = self.shared.counters.stats();
         stats.scanned(times.requested, times.received);
         stats.motor = motor;
         drop(stats);

@@ -65,7 +65,7 @@ impl Service<'_> {
             is_off if is_off == was_off => {}
             true => {
                 self.schedules.pause();
-                self.schedules.publish(self.telemetry);
+                self.schedules.publish(&self.shared.counters);
             }
             false => self.schedules.resume(Instant::now()),
         }
@@ -89,7 +89,7 @@ impl Service<'_> {
             }
         }
         if session.baud_rate() != before {
-            self.telemetry.set_baud_rate(session.baud_rate());
+            self.shared.link.set_baud_rate(session.baud_rate());
         }
         outcome
     }

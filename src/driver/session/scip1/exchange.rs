@@ -9,7 +9,7 @@ use super::errors::{bad_reply, no_reply, on_behalf_of, refused};
 use super::{LIMITS, Session};
 use crate::codec::{ExpectedReply, FoundFrame};
 use crate::protocol::{Command, MalformedError, Reply, ReplyError, Status};
-use crate::state::Telemetry;
+use crate::state::Shared;
 use crate::{BaudRate, ErrorKind, RawReply};
 
 /// Reply to a command.
@@ -67,7 +67,7 @@ impl Session {
         let expected = expected(&command, &bytes);
         let received = match self.transport.ask(&bytes, &expected, within).await {
             Ok(received) => received,
-            Err(failure) => return Err(record_silence(&self.telemetry, &command, failure)),
+            Err(failure) => return Err(record_silence(&self.shared, &command, failure)),
         };
         let (times, wire_len) = (received.times, received.wire_len());
         match judge(&command, echo, received, baud_rate, &self.observers) {
@@ -101,7 +101,7 @@ impl Session {
 
     #[cold]
     fn record_refusal(&mut self) {
-        self.telemetry.stats().refused += 1;
+        self.shared.counters.stats().refused += 1;
     }
 
     #[cold]
@@ -111,7 +111,7 @@ impl Session {
         error: ReplyError,
         wire_len: u64,
     ) -> ExchangeError {
-        let mut stats = self.telemetry.stats();
+        let mut stats = self.shared.counters.stats();
         stats.malformed.count(&error);
         if !is_echoed(&error) {
             stats.bytes_skipped += wire_len;
@@ -131,7 +131,7 @@ impl Session {
         let bytes = echo + if status.is_ok() { command.reply_len() } else { echo + 3 };
         if times.received - times.requested < baud_rate.wire_time(bytes) {
             self.is_baud_rate_disproved = true;
-            self.telemetry.stats().baud_rate_disproved = true;
+            self.shared.counters.stats().baud_rate_disproved = true;
             tracing::debug!("replies come faster than the baud rate can carry");
         }
     }
@@ -197,10 +197,10 @@ pub(super) fn expected(command: &Command, bytes: &[u8]) -> Expected {
 }
 
 #[cold]
-fn record_silence(telemetry: &Telemetry, command: &Command, failure: NoFrame) -> ExchangeError {
+fn record_silence(shared: &Shared, command: &Command, failure: NoFrame) -> ExchangeError {
     let failure = no_reply(command, failure);
     if let ExchangeError::Command(error) = &failure {
-        telemetry.stats().timeouts += 1;
+        shared.counters.stats().timeouts += 1;
         tracing::trace!(%error, "no answer");
     }
     failure

@@ -48,7 +48,7 @@ impl Session {
     pub(super) async fn fence_once(&mut self, latency: Duration) -> Result<Status, ExchangeError> {
         let command = Command::Distances(self.unique_requests.fence());
         self.is_settled = false;
-        self.telemetry.stats().fences += 1;
+        self.shared.counters.stats().fences += 1;
         let mut latest_malformed = None;
         let answer = self.answer_to_fence(&command, latency, &mut latest_malformed).await;
         let answer = match answer {
@@ -66,7 +66,7 @@ impl Session {
             Err(ExchangeError::Command(
                 error @ (ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. }),
             )) => {
-                self.telemetry.stats().fence_timeouts += 1;
+                self.shared.counters.stats().fence_timeouts += 1;
                 if self.transport.latest_at().is_none() {
                     // Another program may have left half a command. And only an LF tells an echo
                     // from a reply.
@@ -120,7 +120,7 @@ impl Session {
                 }
                 Err(error) => error,
             };
-            let mut stats = self.telemetry.stats();
+            let mut stats = self.shared.counters.stats();
             stats.malformed.count(&error);
             stats.bytes_skipped += received.wire_len();
             drop(stats);

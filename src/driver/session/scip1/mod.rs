@@ -38,7 +38,7 @@ use super::Acquired;
 use crate::codec::MAX_FRAME;
 use crate::port::Port;
 use crate::protocol::{Command, Status};
-use crate::state::Telemetry;
+use crate::state::Shared;
 use crate::{BaudRate, Window};
 
 /// A sensor answers a command with one frame of at most 1,576 bytes.
@@ -77,7 +77,7 @@ pub(crate) struct Session {
     /// How long the sensor may take to begin its answer, if set.
     reply_latency: Option<Duration>,
     observers: Arc<ReplyObservers>,
-    telemetry: Arc<Telemetry>,
+    shared: Arc<Shared>,
 }
 
 impl Session {
@@ -86,10 +86,10 @@ impl Session {
         reply_latency: Option<Duration>,
         before: Leftovers,
         observers: Arc<ReplyObservers>,
-        telemetry: Arc<Telemetry>,
+        shared: Arc<Shared>,
     ) -> Self {
         let Leftovers { unique_requests, interrupted } = before;
-        telemetry.stats().baud_rate_disproved = false;
+        shared.counters.stats().baud_rate_disproved = false;
         Self {
             transport: Transport::new(port, &LIMITS, interrupted),
             // The last user of the port may have left bytes behind.
@@ -98,7 +98,7 @@ impl Session {
             unique_requests,
             reply_latency,
             observers,
-            telemetry,
+            shared,
         }
     }
 
@@ -110,7 +110,7 @@ impl Session {
 
     /// Returns true while the driver is closing. A silent sensor then gets no second try.
     fn is_closing(&self) -> bool {
-        self.telemetry.is_closing()
+        self.shared.closing.is_announced()
     }
 
     /// Returns true if the next command has to be preceded by a [`probe`](Self::probe), as far as
@@ -172,7 +172,7 @@ impl Session {
             Box::pin(self.fence()).await.map_err(on_behalf_of(wanted))?;
             widened = self.unique_requests.widen(window);
         }
-        self.telemetry.count_poll();
+        self.shared.counters.count_poll();
         let echo = if widened.repeats { EchoKind::Repeated } else { EchoKind::Unique };
         let command = Command::Distances(widened.asked);
         let Answer { reply, times } = accepted(&command, self.exchange(command, echo).await?)?;
@@ -190,7 +190,7 @@ impl Session {
     async fn set_port_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
         self.is_settled = false;
         self.is_baud_rate_disproved = false;
-        self.telemetry.stats().baud_rate_disproved = false;
+        self.shared.counters.stats().baud_rate_disproved = false;
         self.transport.set_baud_rate(baud_rate).await
     }
 
@@ -216,7 +216,7 @@ impl Session {
     fn record_dropped(&mut self, bytes: u64) {
         if bytes > 0 {
             self.is_settled = false;
-            self.telemetry.stats().bytes_skipped += bytes;
+            self.shared.counters.stats().bytes_skipped += bytes;
         }
     }
 

@@ -10,8 +10,8 @@ const NANOSECOND: Duration = Duration::from_nanos(1);
 fn session(input: &[u8]) -> Session {
     let (reads, baud_rate) = ([Ok(input.to_vec())].into(), Some(BaudRate::B19200));
     let port = ScriptedPort { reads, baud_rate, ..ScriptedPort::default() };
-    let telemetry = Arc::new(Telemetry::new(None));
-    Session::new(Box::new(port), None, Leftovers::default(), Arc::default(), telemetry)
+    let shared = Arc::new(Shared::new(None));
+    Session::new(Box::new(port), None, Leftovers::default(), Arc::default(), shared)
 }
 
 #[tokio::test]
@@ -37,7 +37,7 @@ async fn an_early_reply_disproves_the_baud_rate() {
             };
             session.check_speed(&command, status, &times);
             assert_eq!(session.is_baud_rate_disproved, is_disproved, "{command}");
-            assert_eq!(session.telemetry.stats().baud_rate_disproved, is_disproved);
+            assert_eq!(session.shared.counters.stats().baud_rate_disproved, is_disproved);
             assert_eq!(session.believed_baud_rate().is_none(), is_disproved);
         }
     }

@@ -1,35 +1,25 @@
-//! [`Telemetry`]: the state, the counters and the identity of the sensor, written by
-//! the driver and read by its handles.
+//! [`LinkState`]: the [`State`], and the identity of the sensor while there is a link.
 
-use std::ops::{Deref, DerefMut};
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
 
 use tokio::sync::watch;
 use tokio::time::Instant;
 
 use super::link_log::LinkLog;
-use super::{Freshness, State, StateWatch};
+use super::{State, StateWatch, lock};
 use crate::protocol::Version;
-use crate::ring::Ring;
-use crate::stats::{ScheduleStats, Stats};
 use crate::{BaudRate, Error, ErrorKind};
 
 /// A driver that waits for its sensor repeats each reason in the log after this time.
 const WAITING_INTERVAL: Duration = Duration::from_secs(600);
 
 #[derive(Debug)]
-pub(crate) struct Telemetry {
+pub(crate) struct LinkState {
     name: Option<Arc<str>>,
     state: watch::Sender<State>,
-    counters: Mutex<Counters>,
-    schedules: Mutex<Vec<(ScheduleStats, Weak<Ring>)>>,
     version: Mutex<Option<VersionReply>>,
-    link_log: Mutex<LinkLog>,
-    /// Shared with each handle that waits for the driver to close.
-    closing: Arc<()>,
-    polls: AtomicU64,
+    log: Mutex<LinkLog>,
 }
 
 /// Reply to `V`: parsed, and as received.
@@ -43,31 +33,10 @@ pub(crate) struct VersionReply {
     pub(crate) stamp: SystemTime,
 }
 
-/// [`Stats`] and [`Freshness`], which change together.
-#[derive(Debug, Default)]
-pub(crate) struct Counters {
-    stats: Stats,
-    last_scan: Option<Instant>,
-    /// Latest error since the last scan.
-    error: Option<Error>,
-    /// Why there is no link.
-    link_error: Option<Error>,
-    /// True while the laser is switched off by request.
-    is_laser_off: bool,
-}
-
-impl Telemetry {
+impl LinkState {
     pub(crate) fn new(name: Option<Arc<str>>) -> Self {
-        Self {
-            name,
-            state: watch::Sender::new(State::Connecting { error: None }),
-            counters: Mutex::default(),
-            version: Mutex::default(),
-            schedules: Mutex::default(),
-            link_log: Mutex::default(),
-            closing: Arc::default(),
-            polls: AtomicU64::new(0),
-        }
+        let state = watch::Sender::new(State::Connecting { error: None });
+        Self { name, state, version: Mutex::default(), log: Mutex::default() }
     }
 
     /// Creates an error with the name of the sensor. Every error of a driver is made here.
@@ -81,22 +50,8 @@ impl Telemetry {
 
     /// Enters a state, and logs it. Does nothing if an attempt failed for the same reason as
     /// the previous one.
-    pub(crate) fn enter(&self, state: State) {
+    pub(super) fn enter(&self, state: State) {
         self.log(&state);
-        let link_error = match &state {
-            State::Connecting { error } => error.clone(),
-            State::Disconnected { error, .. } => Some(error.clone()),
-            State::Closed { error } => {
-                Some(error.clone().unwrap_or_else(|| self.error(ErrorKind::Closed)))
-            }
-            State::Connected { .. } | State::Recovering => None,
-        };
-        let mut counters = self.stats();
-        if link_error.is_some() {
-            counters.error.clone_from(&link_error);
-        }
-        counters.link_error = link_error;
-        drop(counters);
         if matches!(state, State::Disconnected { .. } | State::Closed { .. }) {
             *lock(&self.version) = None;
         }
@@ -108,7 +63,7 @@ impl Telemetry {
     }
 
     fn log(&self, state: &State) {
-        let mut link_log = lock(&self.link_log);
+        let mut link_log = lock(&self.log);
         match state {
             State::Connecting { error: Some(error) } => {
                 if link_log.is_due(error, WAITING_INTERVAL) {
@@ -185,78 +140,26 @@ impl Telemetry {
         matches!(&*self.state.borrow(), State::Closed { .. })
     }
 
-    pub(crate) fn stats(&self) -> MutexGuard<'_, Counters> {
-        lock(&self.counters)
+    /// Why there is no link, if an attempt has failed.
+    pub(super) fn trouble(&self) -> Option<Error> {
+        match &*self.state.borrow() {
+            State::Connecting { error } => error.clone(),
+            State::Disconnected { error, .. } => Some(error.clone()),
+            State::Closed { error } => {
+                Some(error.clone().unwrap_or_else(|| self.error(ErrorKind::Closed)))
+            }
+            State::Connected { .. } | State::Recovering => None,
+        }
     }
 
-    /// Copies the counters, with the schedules that have a stream.
-    pub(crate) fn snapshot(&self) -> Stats {
-        let mut stats = self.stats().stats.clone();
-        stats.polls = self.polls.load(Ordering::Relaxed);
-        // The streams may all be gone before the driver notices.
-        let is_read = |ring: &Weak<Ring>| ring.upgrade().is_some_and(|ring| ring.readers() > 0);
-        let schedules = lock(&self.schedules);
-        let read = schedules.iter().filter(|(_, ring)| is_read(ring));
-        stats.schedules.extend(read.map(|(schedule, _)| *schedule));
-        stats
-    }
-
-    /// Replaces the schedules, in place and without allocating.
-    pub(crate) fn set_schedules(
-        &self,
-        schedules: impl Iterator<Item = (ScheduleStats, Weak<Ring>)>,
-    ) {
-        let mut noted = lock(&self.schedules);
-        noted.clear();
-        noted.extend(schedules);
-    }
-
-    /// Counts a poll, without a lock.
-    pub(crate) fn count_poll(&self) {
-        self.polls.fetch_add(1, Ordering::Relaxed);
-    }
-
-    /// Announces that the driver is closing, until the guard is dropped.
-    pub(crate) fn closing(&self) -> Arc<()> {
-        Arc::clone(&self.closing)
-    }
-
-    /// Returns true while the driver is closing. A silent sensor then gets no second try.
-    pub(crate) fn is_closing(&self) -> bool {
-        Arc::strong_count(&self.closing) > 1
-    }
-
-    /// Records whether the laser is switched off by request.
-    pub(crate) fn set_laser_off(&self, is_off: bool) {
-        self.stats().is_laser_off = is_off;
-    }
-
-    /// Records why a poll has no scan.
-    pub(crate) fn fail(&self, kind: ErrorKind) {
-        self.stats().error = Some(self.error(kind));
-    }
-
-    /// Freshness of all scans.
-    pub(crate) fn freshness(&self) -> Freshness {
-        let reason = self.pause_reason();
-        let counters = self.stats();
-        Freshness::new(counters.last_scan, reason.or_else(|| counters.error.clone()))
-    }
-
-    /// Why nothing is polled now, if so.
-    pub(crate) fn pause_reason(&self) -> Option<Error> {
-        let counters = self.stats();
-        let laser_off = || counters.is_laser_off.then(|| self.error(ErrorKind::LaserOff));
-        counters.link_error.clone().or_else(laser_off)
-    }
-
-    /// Why there is no link. While none of the attempts has failed yet, the sensor is silent.
-    pub(crate) fn link_error(&self) -> ErrorKind {
+    /// Why there is no link. While no attempt has failed yet, the sensor is silent.
+    pub(crate) fn reason(&self) -> ErrorKind {
         let no_answer =
             ErrorKind::NoAnswer { baud_rate: None, searched: false, bytes: 0, words: None };
-        self.stats().link_error.as_ref().map_or(no_answer, |error| error.kind().clone())
+        self.trouble().map_or(no_answer, |error| error.kind().clone())
     }
 
+    /// Identity of the sensor, if there is a link.
     pub(crate) fn version(&self) -> Option<Version> {
         self.version_reply().map(|reply| reply.version)
     }
@@ -283,34 +186,4 @@ fn is_same(before: &State, now: &State) -> bool {
         ) => before == since && text(last) == text(error),
         _ => false,
     }
-}
-
-impl Counters {
-    /// Counts a good scan.
-    pub(crate) fn scanned(&mut self, requested_at: Instant, received_at: Instant) {
-        self.stats.scans += 1;
-        self.stats.reply_latency.add(received_at - requested_at);
-        self.last_scan = Some(received_at);
-        self.error = None;
-    }
-}
-
-impl Deref for Counters {
-    type Target = Stats;
-
-    fn deref(&self) -> &Stats {
-        &self.stats
-    }
-}
-
-impl DerefMut for Counters {
-    fn deref_mut(&mut self) -> &mut Stats {
-        &mut self.stats
-    }
-}
-
-#[inline(never)]
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Counters and plain values: always consistent.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,0 +1,21 @@
+//! [`Closing`]: whether a handle waits for the driver to close.
+
+use std::sync::Arc;
+
+/// Announcement of the handles that wait. A token of tokio-util would stay cancelled when such a call
+/// is dropped, and then the driver goes on.
+#[derive(Debug, Default)]
+pub(crate) struct Closing(Arc<()>);
+
+impl Closing {
+    /// Announces that the driver is closing, until the guard is dropped.
+    #[must_use]
+    pub(crate) fn announce(&self) -> Arc<()> {
+        Arc::clone(&self.0)
+    }
+
+    /// Returns true while the driver is closing. A silent sensor then gets no second try.
+    pub(crate) fn is_announced(&self) -> bool {
+        Arc::strong_count(&self.0) > 1
+    }
+}
