@@ -93,8 +93,8 @@ impl Zone {
         let obstacle_rays = self.obstacle_steps.div_ceil(cluster);
         let mut gap = 0;
         for ray in scan.rays() {
-            let first = usize::from(ray.step.number());
-            let last = usize::from(window.end().number()).min(first + cluster - 1);
+            let first = usize::from(ray.step);
+            let last = usize::from(window.end()).min(first + cluster - 1);
             let far = self.far.get(first..=last).unwrap_or_default();
             let Some(far) = far.iter().copied().filter(|far| *far > 0.0).reduce(f64::max) else {
                 continue;

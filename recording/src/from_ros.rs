@@ -62,10 +62,10 @@ impl MessageScan {
 /// `LaserScan`, and as `urg_node` writes them, which takes the first and the last step.
 fn ends(window: &Window) -> [[f64; 2]; 2] {
     let cluster = f64::from(window.cluster_count());
-    let first = f64::from(window.start().number());
+    let first = f64::from(window.start());
     let middle = first + (cluster.min(window.steps() as f64) - 1.0) / 2.0;
     let last = middle + cluster * (window.points() - 1) as f64;
-    [[middle, last], [first, f64::from(window.end().number())]]
+    [[middle, last], [first, f64::from(window.end())]]
 }
 
 fn has_directions(message: &LaserScan, window: &Window) -> bool {

@@ -70,7 +70,7 @@ impl PollReply {
         let window = self.window?;
         let mut values = self.answer.values()?;
         // The driver may have asked for extra points before or after the window.
-        let surplus = window.start().number().saturating_sub(self.asked.start().number());
+        let surplus = window.start().saturating_sub(self.asked.start());
         values.drain(..usize::from(surplus / u16::from(window.cluster_count())).min(values.len()));
         values.truncate(window.points());
         (values.len() == window.points()).then_some((window, values))

@@ -105,7 +105,7 @@ impl Replies {
     /// Stores the values of a reply. Returns false if it has no values.
     fn remember(&mut self, poll: &PollReply) -> bool {
         let Some(values) = poll.answer.values() else { return false };
-        let first = usize::from(poll.asked.start().number());
+        let first = usize::from(poll.asked.start());
         let seen = self.memory.get_mut(first..first + poll.asked.steps()).unwrap_or_default();
         // Each step of a group gets the group's value. The emulated sensor sends the
         // smallest value of a group, so it sends that value again.
@@ -129,7 +129,7 @@ impl Script for Replies {
     }
 
     fn is_single_step(&self, step: u16) -> bool {
-        self.window.steps() == 1 && self.window.end().number() == step
+        self.window.steps() == 1 && self.window.end() == step
     }
 
     fn advance(&mut self, asked: &[u8]) -> Option<Vec<u8>> {

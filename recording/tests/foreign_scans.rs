@@ -132,7 +132,7 @@ fn message(random: &mut Random, form: Form, window: Window, stamp: i64) -> (Vec<
     put(&mut out, (frame.len() as u32).to_le_bytes());
     out.extend(frame);
     out.resize(out.len().next_multiple_of(4), 0);
-    let (first, last) = (f64::from(window.start().number()), f64::from(window.end().number()));
+    let (first, last) = (f64::from(window.start()), f64::from(window.end()));
     let cluster = f64::from(window.cluster_count());
     let points = window.points();
     let middle = first + (cluster - 1.0) / 2.0;
@@ -190,8 +190,8 @@ fn bag(random: &mut Random, described: Option<Window>) -> (Vec<u8>, Truth) {
     }
     if let Some(window) = described {
         let fields = [
-            ("start", window.start().number()),
-            ("end", window.end().number()),
+            ("start", window.start()),
+            ("end", window.end()),
             ("cluster", window.cluster_count().into()),
         ];
         let metadata = fields.map(|(key, value)| (key.to_owned(), value.to_string())).into();
@@ -330,7 +330,7 @@ fn a_part_shows_the_stream_that_it_has() {
         let mut writer =
             WriteOptions::new().compression(None).create(Cursor::new(Vec::new())).unwrap();
         let metadata = [("start", window.start()), ("end", window.end())]
-            .map(|(key, step)| (key.to_owned(), step.number().to_string()));
+            .map(|(key, step)| (key.to_owned(), step.to_string()));
         let metadata = metadata.into_iter().chain([("cluster".to_owned(), "1".to_owned())]);
         let metadata = metadata.collect();
         writer.write_metadata(&Metadata { name: "tokio_scip".to_owned(), metadata }).unwrap();

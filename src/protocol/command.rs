@@ -123,8 +123,8 @@ impl Deref for CommandBytes {
 /// Encodes a `G`.
 #[inline(never)]
 fn distances(window: &Window) -> [u8; 9] {
-    let [a, b, c] = digits(window.start().number());
-    let [d, e, f] = digits(window.end().number());
+    let [a, b, c] = digits(window.start());
+    let [d, e, f] = digits(window.end());
     let [g, h] = digits(u16::from(window.cluster_count()));
     [b'G', a, b, c, d, e, f, g, h]
 }

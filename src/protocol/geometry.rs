@@ -55,8 +55,8 @@ impl Geometry {
     }
 
     /// Direction of a step in degrees, counter-clockwise from the front.
-    pub fn degrees(&self, step: impl Into<u16>) -> f32 {
-        self.angle(step.into().into()).to_degrees() as f32
+    pub fn degrees(&self, step: u16) -> f32 {
+        self.angle(step.into()).to_degrees() as f32
     }
 
     /// Interprets a value that the sensor sent.

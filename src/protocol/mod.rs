@@ -46,4 +46,4 @@ pub use version::Specification;
 pub use version::Version;
 #[doc(no_inline)]
 pub use window::Window;
-pub use window::{Step, WindowError};
+pub use window::WindowError;

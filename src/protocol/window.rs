@@ -16,56 +16,12 @@ const POLL_LEN: usize = 10;
 /// Data bytes in a full line of a `G` reply (p. 3 and 6).
 pub(super) const BLOCK: usize = 64;
 
-/// Direction of measurement: 0..=768, counter-clockwise seen from above.
-///
-/// [`Geometry::degrees`] is its direction: for a URG-04LX, 0 is -135 degrees (right rear), 384 the
-/// front, 768 is +135 degrees (left rear). As data (feature `serde`) it is its number.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-#[cfg_attr(feature = "serde", serde(into = "u16", try_from = "u16"))]
-pub struct Step(u16);
-
-impl Step {
-    /// Step 768, +135 degrees.
-    pub(crate) const LAST: Self = Self(LAST);
-
-    /// Creates the step with this number.
-    ///
-    /// # Errors
-    ///
-    /// [`WindowError::Step`] above 768.
-    pub(crate) const fn new(number: u16) -> Result<Self, WindowError> {
-        if number <= LAST { Ok(Self(number)) } else { Err(WindowError::Step { found: number }) }
-    }
-
-    /// Its number, 0..=768.
-    pub const fn number(self) -> u16 {
-        self.0
-    }
-}
-
-impl fmt::Display for Step {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.fmt(f)
-    }
-}
-
-impl From<Step> for u16 {
-    fn from(step: Step) -> Self {
-        step.0
-    }
-}
-
-impl TryFrom<u16> for Step {
-    type Error = WindowError;
-
-    fn try_from(number: u16) -> Result<Self, WindowError> {
-        Self::new(number)
-    }
-}
-
 /// Steps that a scan covers: starting point, end point and cluster count, the parameters
 /// of `G` (C-42-3320-A p. 6).
+///
+/// A step is a direction of measurement. Steps count counter-clockwise, seen from above:
+/// [`Geometry::degrees`] is their direction. For a URG-04LX, 0 is -135 degrees (right rear), 384 the
+/// front, 768 is +135 degrees (left rear).
 ///
 /// A window is always valid: both steps are in 0..=768, the start is not after the end,
 /// and the cluster count is 1..=99. (The protocol text allows a cluster count of 0, but
@@ -85,8 +41,8 @@ impl TryFrom<u16> for Step {
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(try_from = "UncheckedWindow"))]
 pub struct Window {
-    start: Step,
-    end: Step,
+    start: u16,
+    end: u16,
     #[cfg_attr(feature = "serde", serde(rename = "cluster"))]
     cluster_count: u8,
 }
@@ -123,10 +79,10 @@ impl Window {
     /// either side. This window has no spare step, and neither have some windows with a
     /// cluster count above 1 (0..=725 in clusters of 4). They have one safeguard less
     /// against a reply that a faulty line delivers twice.
-    pub const FULL: Self = Self { start: Step(0), end: Step(LAST), cluster_count: 1 };
+    pub const FULL: Self = Self { start: 0, end: LAST, cluster_count: 1 };
 
     /// Steps that a URG-04LX measures: 44..=725, -119.53 to +119.88 degrees, 682 points.
-    pub const DETECTION: Self = Self { start: Step(44), end: Step(725), cluster_count: 1 };
+    pub const DETECTION: Self = Self { start: 44, end: 725, cluster_count: 1 };
 
     /// Creates a window of `steps`, each a point of its own (cluster count 1).
     ///
@@ -135,10 +91,10 @@ impl Window {
     /// [`WindowError`] if a step is above 768 or the start after the end.
     pub const fn new(steps: RangeInclusive<u16>) -> Result<Self, WindowError> {
         let (start, end) = (*steps.start(), *steps.end());
-        match (Step::new(start), Step::new(end)) {
-            (Err(error), _) | (_, Err(error)) => Err(error),
-            (Ok(_), Ok(_)) if start > end => Err(WindowError::Reversed { start, end }),
-            (Ok(start), Ok(end)) => Ok(Self { start, end, cluster_count: 1 }),
+        match (start, end) {
+            (found, _) | (_, found) if found > LAST => Err(WindowError::Step { found }),
+            _ if start > end => Err(WindowError::Reversed { start, end }),
+            _ => Ok(Self { start, end, cluster_count: 1 }),
         }
     }
 
@@ -182,12 +138,12 @@ impl Window {
     }
 
     /// First step.
-    pub const fn start(&self) -> Step {
+    pub const fn start(&self) -> u16 {
         self.start
     }
 
     /// Last step.
-    pub const fn end(&self) -> Step {
+    pub const fn end(&self) -> u16 {
         self.end
     }
 
@@ -198,7 +154,7 @@ impl Window {
 
     /// Number of steps in the window, 1..=769.
     pub const fn steps(&self) -> usize {
-        (self.end.0 - self.start.0) as usize + 1
+        (self.end - self.start) as usize + 1
     }
 
     /// Number of points in a scan of this window: steps over cluster count, rounded up.
@@ -245,20 +201,20 @@ impl Window {
     /// window are the same in the wider one.
     pub(crate) fn widened(&self, points: u16) -> Option<(Self, usize)> {
         let steps = points.saturating_mul(u16::from(self.cluster_count));
-        match self.start.number().checked_sub(steps) {
-            Some(start) => Some((Self { start: Step(start), ..*self }, usize::from(points))),
+        match self.start.checked_sub(steps) {
+            Some(start) => Some((Self { start, ..*self }, usize::from(points))),
             // Steps after the end would fill up a partial last cluster.
             None if !self.steps().is_multiple_of(self.cluster_count.into()) => None,
             None => {
-                let end = Step::new(self.end.number().saturating_add(steps)).ok()?;
-                Some((Self { end, ..*self }, 0))
+                let end = self.end.saturating_add(steps);
+                (end <= LAST).then_some((Self { end, ..*self }, 0))
             }
         }
     }
 
     /// Creates the window of one step.
     pub(crate) const fn single(step: u16) -> Self {
-        let step = Step(if step > LAST { LAST } else { step });
+        let step = if step > LAST { LAST } else { step };
         Self { start: step, end: step, cluster_count: 1 }
     }
 }
@@ -322,8 +278,8 @@ mod tests {
 
     /// First and last step of every point.
     fn points(window: Window) -> Vec<(u16, u16)> {
-        let (end, cluster) = (window.end().number(), u16::from(window.cluster_count()));
-        (window.start().number()..=end)
+        let (end, cluster) = (window.end(), u16::from(window.cluster_count()));
+        (window.start()..=end)
             .step_by(usize::from(cluster))
             .map(|first| (first, end.min(first + cluster - 1)))
             .collect()

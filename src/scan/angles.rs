@@ -36,7 +36,7 @@ impl Scan {
 
     fn first_angle(&self) -> f64 {
         let middle = (f64::from(self.window.first_cluster()) - 1.0) / 2.0;
-        self.meta.geometry.angle(f64::from(self.window.start().number()) + middle)
+        self.meta.geometry.angle(f64::from(self.window.start()) + middle)
     }
 }
 

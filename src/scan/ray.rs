@@ -1,7 +1,7 @@
 //! [`Ray`] and [`Point`]: a scan, one direction at a time.
 
 use super::Scan;
-use crate::protocol::{Measurement, Step};
+use crate::protocol::Measurement;
 
 /// One direction of a scan and what was measured in it, distance or error code.
 ///
@@ -11,7 +11,7 @@ use crate::protocol::{Measurement, Step};
 #[non_exhaustive]
 pub struct Ray {
     /// Step, or the first step of a cluster.
-    pub step: Step,
+    pub step: u16,
     /// Radians counter-clockwise from the front.
     pub angle: f32,
     /// What was measured.
@@ -50,7 +50,7 @@ pub struct Point {
     /// Radians counter-clockwise from the sensor's front, seen from its top, in any frame.
     pub angle: f32,
     /// Step of its ray, or the first step of a cluster.
-    pub step: Step,
+    pub step: u16,
     /// Seconds from the scan's first ray ([`Scan::first_ray_stamp`]) to this point. A robot
     /// at 1 m/s moves 7 cm from the first point to the last: without it your map bends.
     pub offset: f32,
@@ -73,11 +73,11 @@ impl Scan {
     /// ```
     pub fn rays(&self) -> impl ExactSizeIterator<Item = Ray> + Clone + '_ {
         let increment = self.increment();
-        let (first, cluster) = (self.window.start().number(), self.window.cluster_count());
+        let (first, cluster) = (self.window.start(), self.window.cluster_count());
         let rays = self.measurements().zip(self.angles()).enumerate();
         rays.map(move |(n, (measurement, angle))| {
             // At most 768, so the cast is exact and there is such a step.
-            let step = Step::new(first + n as u16 * u16::from(cluster)).unwrap_or(Step::LAST);
+            let step = first + n as u16 * u16::from(cluster);
             Ray { step, angle, measurement, offset: (n as f64 * increment) as f32 }
         })
     }
@@ -121,7 +121,7 @@ mod tests {
         for (n, ((ray, angle), value)) in
             rays.iter().zip(scan.angles()).zip(scan.raw_values()).enumerate()
         {
-            assert_eq!((ray.step.number(), ray.angle), (44 + n as u16, angle));
+            assert_eq!((ray.step, ray.angle), (44 + n as u16, angle));
             assert_eq!(ray.measurement.value(), value);
             assert!((ray.angle - scan.geometry().degrees(ray.step).to_radians()).abs() < 1e-6);
         }
@@ -140,7 +140,7 @@ mod tests {
         let mut values = [3000; 513];
         (values[0], values[100], values[256], values[400]) = (7, 1000, 1200, 1000);
         // The first of two.
-        assert_eq!(scan(values).nearest().unwrap().step.number(), 228);
+        assert_eq!(scan(values).nearest().unwrap().step, 228);
         assert_eq!(scan([0; 513]).nearest(), None);
     }
 }

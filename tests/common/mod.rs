@@ -62,7 +62,7 @@ pub(crate) fn truthful() -> EmulatorBuilder {
 
 /// Returns the request's number, or `None` if the values do not all agree on one.
 pub(crate) fn request_of(scan: &Scan) -> Option<u64> {
-    let start = usize::from(scan.window().start().number());
+    let start = usize::from(scan.window().start());
     let mut digits = [0; 3];
     for (step, value) in (start..).zip(scan.raw_values()).take(3) {
         digits[step % 3] = u64::from(value.checked_sub(20)?);

@@ -146,7 +146,7 @@ fn case(seed: u64) -> Option<ZoneCase> {
     let mut has_obstacle = false;
     if !random.once_in(3) {
         let is_weak = random.once_in(4);
-        let edges = [zone.window().start(), zone.window().end()].map(|step| angle(step.number()));
+        let edges = [zone.window().start(), zone.window().end()].map(angle);
         let wall = (0..20).find_map(|_| {
             let range = between(random, 0.03..=4.0);
             let width = width * between(random, 1.0..=1.5);
@@ -172,7 +172,7 @@ fn case(seed: u64) -> Option<ZoneCase> {
     }
 
     // The zone's own window, or a wider one, or any.
-    let (first, last) = (zone.window().start().number(), zone.window().end().number());
+    let (first, last) = (zone.window().start(), zone.window().end());
     let steps = match random.below(4) {
         0 => {
             let (a, b) = (random.below(769) as u16, random.below(769) as u16);
@@ -189,7 +189,7 @@ fn case(seed: u64) -> Option<ZoneCase> {
     let clusters = raw[steps].chunks(cluster.into());
     let values: Vec<u32> = clusters.map(|values| *values.iter().min().unwrap()).collect();
 
-    let covers = window.start().number() <= first && last <= window.end().number();
+    let covers = window.start() <= first && last <= window.end();
     let has_code = raw.iter().any(|value| *value < 20);
     let no_code_counts = cluster == 1 && dropouts == 0;
     let is_open = covers

@@ -76,7 +76,7 @@ impl ModelSensor {
         let is_of = |number: usize| {
             let (window, measured) = (scan.window(), self.measured[number]);
             let cluster = window.cluster_count().into();
-            let steps = (u32::from(window.start().number())..).step_by(cluster);
+            let steps = (u32::from(window.start())..).step_by(cluster);
             (scan.times().requested_at..=scan.received_at()).contains(&measured)
                 && scan.len() == window.points()
                 && scan.raw_values().zip(steps).all(|(seen, step)| seen == value(number, step))

@@ -226,7 +226,7 @@ impl PeerState {
 
     /// Returns the `G` that the scan answers. Panics if that is not its own.
     pub(crate) fn check(&self, scan: &Scan) -> u64 {
-        let first = u64::from(scan.window().start().number());
+        let first = u64::from(scan.window().start());
         let digits = (first..).zip(scan.raw_values()).take(3);
         let request = digits.fold(0, |sum, (step, value)| {
             sum + u64::from(value - 20) * 4000_u64.pow((step % 3) as u32)

@@ -58,8 +58,8 @@ impl SimulationTruth {
         if values.len() != window.points() {
             return Err(format!("{} values for {window}", values.len()));
         }
-        let start = usize::from(window.start().number());
-        let end = usize::from(window.end().number());
+        let start = usize::from(window.start());
+        let end = usize::from(window.end());
         let expected = |request: u64| {
             (start..=end).step_by(cluster).map(move |first| {
                 (first..=end.min(first + cluster - 1)).map(|step| value(request, step)).min()

@@ -54,7 +54,7 @@ impl WindowArgs {
     pub(crate) fn window(&self, default: Window) -> Result<Window, Failure> {
         let window = match (self.window, self.from, self.to) {
             (Some(window), ..) => Ok(window),
-            (None, None, None) => Window::new(default.start().number()..=default.end().number()),
+            (None, None, None) => Window::new(default.start()..=default.end()),
             (None, from, to) => {
                 let [start, end] = [default.start(), default.end()];
                 let [start, end] = [start, end].map(|step| Geometry::URG_04LX.degrees(step).into());

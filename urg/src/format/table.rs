@@ -12,7 +12,7 @@ pub(crate) fn table(scan: &Scan, version: &Version) -> String {
     let mut text = String::from("step  direction   distance\n");
     for ray in scan.rays() {
         // Writing to a `String` is infallible.
-        let _ = write!(text, "{:>4} {:>8.2}°  ", ray.step.number(), ray.angle.to_degrees());
+        let _ = write!(text, "{:>4} {:>8.2}°  ", ray.step, ray.angle.to_degrees());
         let _ = match ray.measurement {
             Measurement::Distance(mm) => writeln!(text, "{:>3}.{:03} m", mm / 1000, mm % 1000),
             other => writeln!(text, "        - {}", reason(other)),

@@ -11,11 +11,11 @@ pub(crate) fn seen_through(scan: &Scan, window: Window) -> Scan {
         return scan.clone();
     }
     let mut steps = vec![NOT_RECORDED; Window::FULL.steps()];
-    let first = usize::from(recorded.start().number());
+    let first = usize::from(recorded.start());
     let seen = steps.get_mut(first..first + recorded.steps()).unwrap_or_default();
     let clusters = seen.chunks_mut(recorded.cluster_count().into());
     clusters.zip(scan.raw_values()).for_each(|(cluster, value)| cluster.fill(value));
-    let first = usize::from(window.start().number());
+    let first = usize::from(window.start());
     let seen = steps.get(first..first + window.steps()).unwrap_or_default();
     let clusters = seen.chunks(window.cluster_count().into());
     let values: Vec<u32> = clusters.filter_map(|cluster| cluster.iter().min().copied()).collect();

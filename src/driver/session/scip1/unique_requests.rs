@@ -98,7 +98,7 @@ impl UniqueRequests {
     fn record(&mut self, window: Window) {
         let [newest, second, _] = self.recent;
         self.recent = [Some(window), newest, second];
-        let step = window.start().number();
+        let step = window.start();
         if window.steps() == 1
             && let Some(word) = self.single.get_mut(usize::from(step / 64))
         {

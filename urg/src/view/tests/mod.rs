@@ -258,9 +258,7 @@ async fn a_paused_picture_stays_and_is_marked() {
 async fn keys_request_windows_pictures_and_the_end() {
     let mut model = watched(Emulator::builder().usb().build()).await;
     let steps = |action| match action {
-        Some(Action::Watch(window)) => {
-            (window.start().number(), window.end().number(), window.cluster_count())
-        }
+        Some(Action::Watch(window)) => (window.start(), window.end(), window.cluster_count()),
         other => panic!("{other:?}"),
     };
     let mut key = |code| press(&mut model, code);
