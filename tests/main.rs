@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
 mod common;
+mod desired_settings;
 mod documents;
 mod examples;
 mod exhaustive;
@@ -19,4 +20,3 @@ mod poses;
 mod properties;
 mod protocol;
 mod simulation;
-mod wishes;

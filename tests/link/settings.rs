@@ -98,7 +98,7 @@ async fn t04_an_error_names_the_command_that_failed_and_not_the_fence() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn wishes_without_a_link_count_after_the_replug() {
+async fn settings_without_a_link_apply_after_the_replug() {
     let emulator = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = builder().request_timeout(ms(10)).connect(emulator.clone()).await.unwrap();
     emulator.unplug();

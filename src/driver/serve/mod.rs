@@ -107,8 +107,8 @@ impl Service<'_> {
         let now = Instant::now();
         let heard = session.heard_at();
         let probe = self.probe_interval.zip(heard).map(|(interval, heard)| heard + interval);
-        // In doubt, the next command would begin with a probe anyway. Now there may be time for it.
-        if session.is_in_doubt() || probe.is_some_and(|due| due <= now) {
+        // The next command would begin with a probe anyway. Now there may be time for it.
+        if session.needs_probe() || probe.is_some_and(|due| due <= now) {
             let outcome = Box::pin(self.probe(session)).await;
             ignore_command_errors(outcome)?;
         }

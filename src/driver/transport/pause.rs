@@ -28,10 +28,10 @@ const LENGTHS: usize = 8;
 /// Lengths that differ by at most this number of bytes count as the same: the driver adds points to a
 /// window, so that consecutive polls differ.
 const SAME_LENGTH: usize = 8;
-/// After a scan that was complete before its pause ended, the next pause ends earlier: at first by
-/// this fraction of the expected time, then by as many times more until the driver sees the end
-/// of a scan.
+/// After a scan that was complete before its pause ended, the next pause ends earlier, by this
+/// fraction of the expected time.
 const FIRST_STEP: u32 = 32;
+/// Each further step is this many times as long, until the driver sees the end of a scan.
 const STEP_GROWTH: u32 = 4;
 /// Lateness of a tokio timer on an idle runtime: it counts whole milliseconds, and the
 /// current one has already begun.

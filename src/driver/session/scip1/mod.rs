@@ -115,11 +115,11 @@ impl Session {
 
     /// Returns true if the next command has to be preceded by a [`probe`](Self::probe), as far as
     /// known without reading.
-    pub(crate) fn is_in_doubt(&self) -> bool {
+    pub(crate) fn needs_probe(&self) -> bool {
         !self.is_settled || !self.transport.pending().is_empty()
     }
 
-    /// Waits for unsolicited bytes. The session is [in doubt](Self::is_in_doubt) then.
+    /// Waits for unsolicited bytes. The session [needs a probe](Self::needs_probe) then.
     pub(crate) fn poll_unasked(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), LinkError>> {
         self.transport.poll_idle(cx)
     }

@@ -73,6 +73,6 @@ async fn a_copy_that_waits_in_the_port_answers_no_command() {
     let copy =
         ScriptedPort { reads: [Ok(b"L0\n0\n\n".to_vec())].into(), ..ScriptedPort::default() };
     session.transport = Transport::new(Box::new(copy), &LIMITS, false);
-    assert!(!session.is_in_doubt());
+    assert!(!session.needs_probe());
     assert!(session.command(Command::LaserOff).await.is_err());
 }

@@ -1,8 +1,8 @@
-//! Random wishes for laser, baud rate and windows, on links that come and go, to a sensor that
-//! refuses them, says nothing or restarts. After each pause the sensor is as the last remembered
-//! wish, the state says what is so, and streams deliver or pause accordingly.
+//! Random settings of laser and baud rate, and windows, on links that come and go, to a sensor that
+//! refuses them, says nothing or restarts. After each pause the sensor is as it was last set, the
+//! state says what is so, and streams deliver or pause accordingly.
 //!
-//! `SCIP_WISHES=6000 cargo test --test it as_wished` takes a minute; `SCIP_WISHES_FIRST=6000` draws
+//! `SCIP_SETTINGS=6000 cargo test --test it as_set` takes a minute; `SCIP_SETTINGS_FIRST=6000` draws
 //! others.
 
 use std::collections::HashMap;
@@ -83,11 +83,11 @@ impl Connect for Opens {
     }
 }
 
-/// Wishes that may count. Exactly one of each list does; `None` is no wish.
-struct LastWishes {
+/// Settings that may apply. Exactly one of each list does; `None` is no setting.
+struct DesiredSettings {
     laser: Vec<Option<bool>>,
     baud_rate: Vec<Option<BaudRate>>,
-    /// Baud rates that count if the sensor refuses the ones of wishes without a link.
+    /// Baud rates that apply if the sensor refuses those set without a link.
     before: Vec<Option<BaudRate>>,
     /// True if the sensor may have refused a baud rate since the link was found.
     may_differ: bool,
@@ -101,7 +101,7 @@ struct History {
     sensor: Sensor,
     is_plugged_in: bool,
     streams: Vec<ScanStream>,
-    wishes: LastWishes,
+    desired: DesiredSettings,
     /// When the sensor last began to accept a command that it had refused.
     accepts_since: Option<Instant>,
     steps: Vec<String>,
@@ -133,7 +133,7 @@ impl History {
         };
         let sensor = sensor.connect(opens).await.unwrap();
         let (laser, baud_rate) = (vec![None], vec![baud_rate]);
-        let wishes = LastWishes { laser, baud_rate, before: Vec::new(), may_differ: false };
+        let desired = DesiredSettings { laser, baud_rate, before: Vec::new(), may_differ: false };
         Self {
             seed,
             random,
@@ -142,7 +142,7 @@ impl History {
             sensor,
             is_plugged_in: true,
             streams: Vec::new(),
-            wishes,
+            desired,
             accepts_since: None,
             steps: Vec::new(),
         }
@@ -170,9 +170,9 @@ impl History {
         match outcome {
             Err(_) if limit == SETTLING => self.fail("no answer"),
             // The driver may not have taken it.
-            Err(_) => self.wishes.laser.push(Some(on)),
+            Err(_) => self.desired.laser.push(Some(on)),
             Ok(outcome) => {
-                self.wishes.laser = vec![Some(on)];
+                self.desired.laser = vec![Some(on)];
                 if outcome.is_ok() && self.emulator.is_laser_on() != on {
                     self.fail("the laser is not as confirmed");
                 }
@@ -190,17 +190,17 @@ impl History {
         }
         match outcome {
             Err(_) if limit == SETTLING => self.fail("no answer"),
-            Err(_) => self.wishes.baud_rate.push(Some(baud_rate)),
+            Err(_) => self.desired.baud_rate.push(Some(baud_rate)),
             Ok(Ok(())) => {
-                self.wishes.baud_rate = vec![Some(baud_rate)];
-                self.wishes.before.clear();
+                self.desired.baud_rate = vec![Some(baud_rate)];
+                self.desired.before.clear();
                 if self.emulator.baud_rate() != Some(baud_rate) {
                     self.fail("the baud rate is not as confirmed");
                 }
             }
             Ok(Err(error)) if !is_about_baud_rate(&error) => {
-                let before = std::mem::replace(&mut self.wishes.baud_rate, vec![Some(baud_rate)]);
-                self.wishes.before.extend(before);
+                let before = std::mem::replace(&mut self.desired.baud_rate, vec![Some(baud_rate)]);
+                self.desired.before.extend(before);
                 self.doubt_baud_rate();
             }
             // Refused, and so forgotten.
@@ -235,11 +235,11 @@ impl History {
         self.doubt_baud_rate();
     }
 
-    /// If the sensor refuses baud rates, it keeps its own, and the wishes of before count.
+    /// If the sensor refuses baud rates, it keeps its own, and the settings before apply.
     fn doubt_baud_rate(&mut self) {
         if self.refuses(Kind::BaudRate) {
-            self.wishes.may_differ = true;
-            self.wishes.baud_rate.append(&mut self.wishes.before);
+            self.desired.may_differ = true;
+            self.desired.baud_rate.append(&mut self.desired.before);
         }
     }
 
@@ -270,7 +270,7 @@ impl History {
             self.emulator.unplug();
             sleep(Duration::from_secs(1)).await;
             self.emulator.plug_in();
-            self.wishes.may_differ = false;
+            self.desired.may_differ = false;
             sleep(RETRY).await;
         }
         sleep(SETTLING).await;
@@ -284,17 +284,16 @@ impl History {
         if baud_rate != self.emulator.baud_rate() {
             self.fail("the state has another baud rate than the sensor");
         }
-        let mut allowed = self.wishes.baud_rate.iter().map(|wish| wish.or(baud_rate));
-        if baud_rate.is_some() && !self.wishes.may_differ && !allowed.any(|wish| wish == baud_rate)
-        {
-            self.fail(&format!("the sensor is not as wished: {:?}", self.wishes.baud_rate));
+        let mut allowed = self.desired.baud_rate.iter().map(|set| set.or(baud_rate));
+        if baud_rate.is_some() && !self.desired.may_differ && !allowed.any(|set| set == baud_rate) {
+            self.fail(&format!("the sensor is not as set: {:?}", self.desired.baud_rate));
         }
         let is_on = self.emulator.is_laser_on();
-        let mut allowed = self.wishes.laser.iter().map(|wish| wish.unwrap_or(is_on));
+        let mut allowed = self.desired.laser.iter().map(|set| set.unwrap_or(is_on));
         let refused = if is_on { Kind::LaserOff } else { Kind::LaserOn };
         let is_tried = is_cured || self.accepts_since.is_none_or(|since| since.elapsed() > RETRY);
-        if !allowed.any(|wish| wish == is_on) && !self.refuses(refused) && is_tried {
-            self.fail("the laser is not as wished");
+        if !allowed.any(|set| set == is_on) && !self.refuses(refused) && is_tried {
+            self.fail("the laser is not as set");
         }
         let stale = self.sensor.freshness().check(Duration::ZERO).err();
         let reason = stale.and_then(|stale| stale.source);
@@ -349,7 +348,7 @@ impl History {
 }
 
 /// Returns true if the sensor or its port refused a baud rate. Without a link, a request fails
-/// with the reason of the latest attempt to open one, and its wish counts.
+/// with the reason of the latest attempt to open one, and its setting applies.
 fn is_about_baud_rate(error: &Error) -> bool {
     match error.kind() {
         ErrorKind::UnsupportedBaudRate { .. } => true,
@@ -366,8 +365,8 @@ fn paused() -> tokio::runtime::Runtime {
 }
 
 #[test]
-fn a_sensor_is_as_wished_and_described() {
-    for seed in seeds("SCIP_WISHES", 35) {
+fn a_sensor_is_as_set_and_described() {
+    for seed in seeds("SCIP_SETTINGS", 35) {
         paused().block_on(async {
             let mut history = History::new(seed).await;
             for _ in 0..12 {
@@ -412,7 +411,7 @@ async fn beside_refused(seed: u64) {
 
 #[test]
 fn a_stream_keeps_its_share_beside_refused_ones() {
-    for seed in seeds("SCIP_WISHES", 4) {
+    for seed in seeds("SCIP_SETTINGS", 4) {
         paused().block_on(beside_refused(seed));
     }
 }
