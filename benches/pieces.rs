@@ -24,8 +24,8 @@ use support::{cpu_time, median, percentile, terminal, us, wake_ups};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
 use tokio::runtime::Builder;
 use tokio::time::{sleep_until, timeout};
-use tokio_scip::port::{Connect, Port, PortHints, SerialPort};
-use tokio_scip::{BaudRate, Error, Rate, Sensor, Window};
+use tokio_scip::port::{Connect, Port, PortHints};
+use tokio_scip::{BaudRate, Endpoint, Error, Rate, Sensor, Window};
 use tokio_serial::SerialStream;
 
 #[path = "../tests/common/instant_sensor.rs"]
@@ -320,7 +320,7 @@ fn since(stamp: Stamp) -> Duration {
 /// A serial port that does not pass on its ability to suspend wake-ups.
 enum Unpaused {
     At(String),
-    Open(SerialPort),
+    Open(Box<dyn Port>),
 }
 
 impl Connect for Unpaused {
@@ -328,12 +328,12 @@ impl Connect for Unpaused {
 
     async fn connect(&mut self) -> Result<Self, Error> {
         let Self::At(path) = self else { panic!("connected once") };
-        Ok(Self::Open(SerialPort::open(path).await?))
+        Ok(Self::Open(Endpoint::Serial(path.clone()).into_connector().connect().await?))
     }
 }
 
 impl Unpaused {
-    fn port(&mut self) -> &mut SerialPort {
+    fn port(&mut self) -> &mut Box<dyn Port> {
         let Self::Open(port) = self else { panic!("not open") };
         port
     }

@@ -38,7 +38,13 @@ use crate::{BaudRate, Error, ErrorKind};
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Endpoint {
-    /// A serial port, by its path (Unix) or name (Windows).
+    /// A serial port, by its path (Unix) or name (Windows), locked for other programs while it is
+    /// open.
+    ///
+    /// Closing it discards unsent output. If the device takes no bytes, the system closes it for up to
+    /// half a minute nevertheless, on a thread of its own: dropping the port waits at most 20 ms, and
+    /// it is busy until then. The driver drops a port that was unplugged, so that the system can
+    /// assign the same name to the sensor when you plug it in again.
     Serial(String),
     /// Sensor with this serial number, on any port with the USB id of URG sensors. Skips busy
     /// ports.

@@ -63,8 +63,6 @@ pub use hints::ConnectHints;
 pub use hints::PortHints;
 #[cfg(feature = "serial")]
 pub use list::{PortInfo, UsbId, list};
-#[cfg(feature = "serial")]
-pub use serial::SerialPort;
 pub use stream_port::StreamPort;
 #[cfg(feature = "tcp")]
 use tcp::TcpPort;

@@ -20,20 +20,10 @@ use crate::{BaudRate, Error};
 /// Serial port: raw, 8 data bits, no parity, 1 stop bit, no flow control (C-42-3320-A p.
 /// 2), locked for other programs while it is open.
 ///
-/// It differs from other serial ports in three points:
-///
-/// - `flush` and `shutdown` return at once. The system's call that waits for unsent output
-///   would block the thread, and with it the runtime.
-/// - Dropping the port discards unsent output. If the device takes no bytes, closing waits for it
-///   nevertheless, for up to half a minute, on a thread of its own: dropping waits at most 20 ms.
-///   The port is busy until then. Only a reply proves that your command was sent.
-/// - You can read bytes that the system had received before you opened the port.
-///
-/// After a port was unplugged or hung up, reads return the end of the stream or fail with
-/// the system's error. Drop the port then, so that the system can assign the same name to
-/// the sensor when you plug it in again.
+/// `flush` and `shutdown` return at once: the system's call that waits for unsent output would block
+/// the thread, and with it the runtime.
 #[derive(Debug)]
-pub struct SerialPort {
+pub(super) struct SerialPort {
     /// `None` while a thread changes its baud rate.
     tty: Option<Tty>,
     change: Option<Change>,
@@ -51,36 +41,7 @@ struct Change {
 }
 
 impl SerialPort {
-    /// Opens a port by its path (Unix) or name (Windows), at 19,200 baud, the baud rate of
-    /// a sensor after power-up. Sends nothing.
-    ///
-    /// Opening blocks, so it runs on a thread of its own. Cancel-safe: if you drop the future, the
-    /// port is closed as soon as it is open, and is busy until then.
-    ///
-    /// # Errors
-    ///
-    /// Fails with
-    ///
-    /// - [`NoSuchPort`](crate::ErrorKind::NoSuchPort) if there is no such port, or it
-    ///   was unplugged while it was opened;
-    /// - [`NotASerialPort`](crate::ErrorKind::NotASerialPort) for a file, a directory,
-    ///   or another device;
-    /// - [`PermissionDenied`](crate::ErrorKind::PermissionDenied), with the group that
-    ///   may open it;
-    /// - [`Busy`](crate::ErrorKind::Busy) if it is open already, in this program or
-    ///   another;
-    /// - [`Open`](crate::ErrorKind::Open) with the cause, otherwise. That includes
-    ///   missing permission on a device that appeared within the last seconds, because udev may not
-    ///   have set its group yet, and a tokio runtime without I/O.
-    ///
-    /// # Panics
-    ///
-    /// Panics outside of a tokio runtime. In a runtime without a timer a write may
-    /// panic if the line accepts no more bytes.
-    pub async fn open(path: &str) -> Result<Self, Error> {
-        SerialOpener::default().open(path).await
-    }
-
+    /// Opens a port at 19,200 baud, the baud rate of a sensor after power-up.
     fn open_blocking(path: &str) -> Result<Self, Error> {
         open_error::check_before_opening(path)?;
         #[cfg(any(target_os = "linux", target_os = "android"))]
@@ -307,9 +268,10 @@ impl SerialOpener {
         running == Some(Err(oneshot::error::TryRecvError::Empty))
     }
 
-    /// Opens a port as [`SerialPort::open`] does. Waits first for an earlier call whose
-    /// future was dropped: its port would be busy, and calls that hang in the system would
-    /// each keep a thread.
+    /// Opens a port by its path (Unix) or name (Windows), on a thread of its own. If you drop the
+    /// future, the port is closed as soon as it is open, and is busy until then. Waits first for an
+    /// earlier call whose future was dropped: its port would be busy, and calls that hang in the
+    /// system would each keep a thread.
     pub(super) async fn open(&mut self, path: &str) -> Result<SerialPort, Error> {
         if let Some(earlier) = &mut self.latest {
             // Without a result, its thread has panicked.
@@ -371,7 +333,7 @@ mod tests {
         let path = tokio_serial::SerialPort::name(&near).unwrap();
         // It is locked by its maker, and would stay so.
         drop(near);
-        let mut port = SerialPort::open(&path).await.unwrap();
+        let mut port = SerialOpener::default().open(&path).await.unwrap();
         assert!(is_locked(&path));
         port.release();
         assert!(!is_locked(&path));

@@ -1,8 +1,9 @@
 //! Row O19: opening a serial port must not make it the process's controlling terminal,
 //! or its hang-up would end the process.
 
-use tokio_scip::port::SerialPort;
 use tokio_serial::{SerialPort as _, SerialStream};
+
+use crate::common::open_serial;
 
 /// Set for the copy of this test that leads a session without a terminal: only such a
 /// process gets a controlling terminal by opening one.
@@ -23,7 +24,7 @@ async fn o19_an_opened_port_does_not_become_the_controlling_terminal() {
         assert_eq!(controlling_terminal(), 0);
         let (_far, near) = SerialStream::pair().unwrap();
         let path = near.name().unwrap();
-        let _port = SerialPort::open(&path).await.unwrap();
+        let _port = open_serial(&path).await.unwrap();
         assert_eq!(controlling_terminal(), 0, "the port became the controlling terminal");
         // The check can fail: a terminal opened without O_NOCTTY becomes the process's.
         let (far, careless) = SerialStream::pair().unwrap();

@@ -6,11 +6,10 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
 use crate::common::hooked::{Hooked, Hooks};
-use crate::common::{Truth, builder, truthful};
+use crate::common::{Truth, builder, open_serial, truthful};
 use tokio::sync::Semaphore;
 use tokio::task::JoinHandle;
-use tokio_scip::port::Connect;
-use tokio_scip::port::SerialPort;
+use tokio_scip::port::{Connect, Port};
 use tokio_scip::{BaudRate, Error, ErrorKind, Rate, State, Window};
 use urg_emulator::{Emulator, Pty};
 
@@ -50,10 +49,10 @@ impl Counts {
 struct CountedCalls(Arc<Counts>);
 
 impl Connect for Counting {
-    type Port = Hooked<SerialPort, CountedCalls>;
+    type Port = Hooked<Box<dyn Port>, CountedCalls>;
 
     async fn connect(&mut self) -> Result<Self::Port, Error> {
-        let port = SerialPort::open(&self.path).await;
+        let port = open_serial(&self.path).await;
         match port {
             Ok(_) => drop(self.counts.opened.fetch_add(1, Relaxed)),
             Err(_) => self.counts.refused.add_permits(1),
@@ -123,7 +122,7 @@ async fn o04_a_killed_client_leaves_no_lock() {
     drop(client);
     let open = async {
         loop {
-            match SerialPort::open(path.to_str().unwrap()).await {
+            match open_serial(path.to_str().unwrap()).await {
                 Err(error) if matches!(error.kind(), ErrorKind::Busy { .. }) => {}
                 outcome => break outcome.unwrap(),
             }

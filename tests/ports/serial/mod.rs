@@ -12,7 +12,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use crate::common::limit::limit;
-use crate::common::set_baud_rate;
+use crate::common::{open_serial, set_baud_rate};
 use futures::FutureExt;
 #[cfg(target_os = "linux")]
 use rustix::{
@@ -20,7 +20,6 @@ use rustix::{
     termios::{ioctl_tiocexcl, ioctl_tiocnxcl},
 };
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio_scip::port::SerialPort;
 use tokio_scip::port::{Connect, Port};
 use tokio_scip::{BaudRate, Endpoint, ErrorKind};
 use tokio_serial::SerialPort as _;
@@ -71,7 +70,7 @@ impl Drop for Scratch {
 #[tokio::test]
 async fn all_six_baud_rates_are_set_and_in_force() {
     let line = line();
-    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let mut port = open_serial(&line.path).await.unwrap();
     assert_eq!(port.baud_rate(), Some(BaudRate::B19200), "as a sensor after power-up");
     assert_eq!(line.near.baud_rate().unwrap(), 19_200);
     assert!(port.hints().unwrap().can_die_silently(), "it counts as a sensor's own USB port");
@@ -88,7 +87,7 @@ async fn the_line_is_8n1_without_flow_control() {
     line.near.set_parity(tokio_serial::Parity::Even).unwrap();
     line.near.set_stop_bits(tokio_serial::StopBits::Two).unwrap();
     line.near.set_flow_control(tokio_serial::FlowControl::Software).unwrap();
-    let _port = SerialPort::open(&line.path).await.unwrap();
+    let _port = open_serial(&line.path).await.unwrap();
     assert_eq!(line.near.data_bits().unwrap(), tokio_serial::DataBits::Eight);
     assert_eq!(line.near.parity().unwrap(), tokio_serial::Parity::None);
     assert_eq!(line.near.stop_bits().unwrap(), tokio_serial::StopBits::One);
@@ -98,7 +97,7 @@ async fn the_line_is_8n1_without_flow_control() {
 #[tokio::test]
 async fn every_byte_passes_unchanged_both_ways() {
     let mut line = line();
-    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let mut port = open_serial(&line.path).await.unwrap();
     let every_byte: Vec<u8> = (0..=255).collect();
     let mut there = [0; 256];
     port.write_all(&every_byte).await.unwrap();
@@ -113,7 +112,7 @@ async fn every_byte_passes_unchanged_both_ways() {
 #[tokio::test]
 async fn a_long_stream_is_read_in_any_pieces() {
     let mut line = line();
-    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let mut port = open_serial(&line.path).await.unwrap();
     let bytes: Vec<u8> =
         (0..500_000_u32).map(|n| (n.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
     let write = async {
@@ -134,7 +133,7 @@ async fn a_long_stream_is_read_in_any_pieces() {
 
 /// Writes until the line accepts no more, as when a sensor does not read. Returns the
 /// number of bytes accepted.
-fn stall(port: &mut SerialPort) -> usize {
+fn stall(port: &mut Box<dyn Port>) -> usize {
     let mut taken = 0;
     while let Some(written) = port.write(&[b'x'; 1024]).now_or_never() {
         taken += written.unwrap();
@@ -145,7 +144,7 @@ fn stall(port: &mut SerialPort) -> usize {
 #[tokio::test]
 async fn o16_flush_and_shutdown_do_not_wait_for_a_stalled_line() {
     let line = line();
-    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let mut port = open_serial(&line.path).await.unwrap();
     stall(&mut port);
     port.flush().now_or_never().unwrap().unwrap();
     port.shutdown().now_or_never().unwrap().unwrap();
@@ -154,7 +153,7 @@ async fn o16_flush_and_shutdown_do_not_wait_for_a_stalled_line() {
 #[tokio::test]
 async fn a_stalled_write_goes_on_when_the_line_moves_again() {
     let mut line = line();
-    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let mut port = open_serial(&line.path).await.unwrap();
     let taken = stall(&mut port);
     let mut came = vec![0; taken + 1];
     let both = async { tokio::join!(port.write_all(b"V"), line.far.read_exact(&mut came)) };
@@ -167,10 +166,10 @@ async fn a_stalled_write_goes_on_when_the_line_moves_again() {
 
 /// Opens a port that was open before, until it is no longer busy: a program that another test
 /// starts has this one's open ports, too, for a moment, from its fork until its exec.
-async fn reopened(path: &str) -> SerialPort {
+async fn reopened(path: &str) -> Box<dyn Port> {
     let open = async {
         loop {
-            match SerialPort::open(path).await {
+            match open_serial(path).await {
                 Err(error) if matches!(error.kind(), ErrorKind::Busy { .. }) => {}
                 outcome => return outcome.unwrap(),
             }
@@ -182,7 +181,7 @@ async fn reopened(path: &str) -> SerialPort {
 #[tokio::test]
 async fn o17_dropping_a_port_discards_its_unsent_output() {
     let mut line = line();
-    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let mut port = open_serial(&line.path).await.unwrap();
     let taken = stall(&mut port);
     drop(port);
     let mut port = reopened(&line.path).await;
@@ -203,9 +202,9 @@ async fn o04_an_open_port_is_busy_until_it_is_dropped() {
     let link = scratch.path("sensor");
     std::os::unix::fs::symlink(&line.path, &link).unwrap();
 
-    let port = SerialPort::open(&link).await.unwrap();
+    let port = open_serial(&link).await.unwrap();
     for path in [&line.path, &link] {
-        let error = SerialPort::open(path).await.unwrap_err();
+        let error = open_serial(path).await.err().unwrap();
         let ErrorKind::Busy { port } = error.kind() else { panic!("{error:?}") };
         assert_eq!(port, path);
     }
@@ -228,7 +227,7 @@ async fn o04_a_port_locked_by_tiocexcl_alone_stays_locked() {
     let other = open_beside(&line.path);
     ioctl_tiocexcl(&other).unwrap();
     for _ in 0..2 {
-        let error = SerialPort::open(&line.path).await.unwrap_err();
+        let error = open_serial(&line.path).await.err().unwrap();
         assert!(matches!(error.kind(), ErrorKind::Busy { .. }), "{error:?}");
     }
     ioctl_tiocnxcl(&other).unwrap();
@@ -245,7 +244,7 @@ async fn o04_the_lock_of_a_killed_program_is_named() {
     drop(killed);
     let open = async {
         loop {
-            let error = SerialPort::open(&path).await.unwrap_err();
+            let error = open_serial(&path).await.err().unwrap();
             // A program that another test starts has the terminal for a moment.
             if !matches!(error.kind(), ErrorKind::Busy { .. }) {
                 break error.chain().to_string();
@@ -260,7 +259,7 @@ async fn o04_the_lock_of_a_killed_program_is_named() {
 #[tokio::test]
 async fn a_given_up_change_of_baud_rate_disturbs_nothing() {
     let mut line = line();
-    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let mut port = open_serial(&line.path).await.unwrap();
     let mut given_up = 0;
     for baud_rate in BaudRate::ALL.into_iter().cycle().take(60) {
         given_up += usize::from(set_baud_rate(&mut port, baud_rate).now_or_never().is_none());
@@ -301,7 +300,7 @@ async fn a_dropped_opening_leaves_no_port_open() {
 async fn o07_bytes_received_before_the_port_was_opened_are_read() {
     let mut line = line();
     line.far.write_all(b"left").await.unwrap();
-    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let mut port = open_serial(&line.path).await.unwrap();
     let mut bytes = [0; 4];
     port.read_exact(&mut bytes).await.unwrap();
     assert_eq!(&bytes, b"left");
@@ -310,7 +309,7 @@ async fn o07_bytes_received_before_the_port_was_opened_are_read() {
 #[tokio::test]
 async fn o01_a_hung_up_line_ends_reads_and_fails_writes() {
     let line = line();
-    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let mut port = open_serial(&line.path).await.unwrap();
     let SerialLine { far, near, .. } = line;
     drop((far, near));
     for _ in 0..3 {
@@ -334,12 +333,12 @@ async fn o06_wrong_paths_have_different_errors() {
     std::os::unix::fs::symlink(scratch.path("gone"), &dangling).unwrap();
 
     for path in [&scratch.path("missing"), &dangling, &format!("{file}/below")] {
-        let error = SerialPort::open(path).await.unwrap_err();
+        let error = open_serial(path).await.err().unwrap();
         let ErrorKind::NoSuchPort { port } = error.kind() else { panic!("{path}: {error:?}") };
         assert_eq!(port, path);
     }
     for path in [&file, &scratch.path(""), "/dev/null"] {
-        let error = SerialPort::open(path).await.unwrap_err();
+        let error = open_serial(path).await.err().unwrap();
         let ErrorKind::NotASerialPort { port } = error.kind() else { panic!("{path}: {error:?}") };
         assert_eq!(port, path);
     }

@@ -13,12 +13,12 @@ use std::path::Path;
 use std::process::Command;
 
 use tokio_scip::port::{Connect, Port};
-use tokio_scip::port::{SerialPort, UsbId, list};
+use tokio_scip::port::{UsbId, list};
 use tokio_scip::{BaudRate, Endpoint, ErrorKind, State};
 use urg_emulator::Pty;
 
 use super::{Scratch, line};
-use crate::common::{builder, truthful};
+use crate::common::{builder, open_serial, truthful};
 
 /// Set in the namespace.
 const INSIDE: &str = "SCIP_TEST_USB";
@@ -154,7 +154,7 @@ async fn a_search_starts_over_after_a_success() {
     connector.hints().unwrap().found();
     assert!(!connector.hints().unwrap().has_more());
     let _first_again = connector.connect().await.unwrap();
-    let error = SerialPort::open("/dev/ttyACM0").await.unwrap_err();
+    let error = open_serial("/dev/ttyACM0").await.err().unwrap();
     assert!(matches!(error.kind(), ErrorKind::Busy { .. }), "{error}");
 }
 
@@ -171,14 +171,14 @@ async fn only_an_adapter_has_a_baud_rate() {
     symlink("../../ttyACM0", "/dev/serial/by-path/usb-0:1").unwrap();
 
     for path in ["/dev/ttyACM0", "/dev/serial/by-path/usb-0:1"] {
-        let mut port = SerialPort::open(path).await.unwrap();
+        let mut port = open_serial(path).await.unwrap();
         assert_eq!(
             (port.baud_rate(), port.hints().unwrap().can_die_silently()),
             (None, false),
             "{path}"
         );
     }
-    let mut port = SerialPort::open("/dev/ttyUSB0").await.unwrap();
+    let mut port = open_serial("/dev/ttyUSB0").await.unwrap();
     assert_eq!(
         (port.baud_rate(), port.hints().unwrap().can_die_silently()),
         (Some(BaudRate::B19200), true)

@@ -11,11 +11,11 @@ use futures::FutureExt;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWriteExt, ReadBuf};
 use tokio_scip::port::Port;
-use tokio_scip::port::SerialPort;
 use tokio_serial::SerialPort as _;
 
 use super::{SerialLine, line};
 use crate::common::limit::limit;
+use crate::common::open_serial;
 
 /// Makes a line whose far end is a blocking file, and returns the path of its near end.
 fn blocking_line() -> (std::fs::File, String) {
@@ -30,7 +30,7 @@ fn blocking_line() -> (std::fs::File, String) {
 #[tokio::test]
 async fn received_bytes_are_read_before_the_runtime_reports_readiness() {
     let (mut far, path) = blocking_line();
-    let mut port = SerialPort::open(&path).await.unwrap();
+    let mut port = open_serial(&path).await.unwrap();
     let mut bytes = [0; 16];
     let quiet = port.hints().unwrap().try_read(&mut bytes).unwrap().unwrap_err();
     assert_eq!(quiet.kind(), std::io::ErrorKind::WouldBlock);
@@ -47,7 +47,7 @@ async fn received_bytes_are_read_before_the_runtime_reports_readiness() {
 #[tokio::test]
 async fn a_read_does_not_try_again_before_the_system_reports_readiness() {
     let (mut far, path) = blocking_line();
-    let mut port = SerialPort::open(&path).await.unwrap();
+    let mut port = open_serial(&path).await.unwrap();
     let mut bytes = [0; 16];
     for piece in [b"first".as_slice(), b"next", b"last"] {
         std::io::Write::write_all(&mut far, piece).unwrap();
@@ -61,7 +61,7 @@ async fn a_read_does_not_try_again_before_the_system_reports_readiness() {
 async fn a_command_wakes_the_thread_for_its_reply_alone() {
     const COMMANDS: u64 = 100;
     let (mut far, path) = blocking_line();
-    let mut port = SerialPort::open(&path).await.unwrap();
+    let mut port = open_serial(&path).await.unwrap();
     let metrics = tokio::runtime::Handle::current().metrics();
     let before = metrics.worker_park_count(0);
     let sensor = std::thread::spawn(move || {
@@ -103,7 +103,7 @@ impl Wake for WokenPort {
 #[tokio::test]
 async fn suspended_wake_ups_wake_nobody() {
     let SerialLine { mut far, near, path } = line();
-    let mut port = SerialPort::open(&path).await.unwrap();
+    let mut port = open_serial(&path).await.unwrap();
     let woken = Arc::new(WokenPort::default());
     let waker = Waker::from(Arc::clone(&woken));
     let mut bytes = [0; 8];
@@ -134,7 +134,7 @@ async fn suspended_wake_ups_wake_nobody() {
 #[tokio::test]
 async fn a_hang_up_without_wake_ups_is_noticed() {
     let SerialLine { far, near: _near, path } = line();
-    let mut port = SerialPort::open(&path).await.unwrap();
+    let mut port = open_serial(&path).await.unwrap();
     assert!(port.read(&mut [0; 8]).now_or_never().is_none());
     assert!(port.hints().unwrap().suspend_wakeups());
     drop(far);
@@ -145,7 +145,7 @@ async fn a_hang_up_without_wake_ups_is_noticed() {
 #[tokio::test]
 async fn a_read_that_finds_nothing_wakes_its_reader_again() {
     let SerialLine { mut far, near: _near, path } = line();
-    let mut port = SerialPort::open(&path).await.unwrap();
+    let mut port = open_serial(&path).await.unwrap();
     let mut bytes = [0; 8];
     assert!(port.hints().unwrap().suspend_wakeups());
     assert!(port.read(&mut bytes).now_or_never().is_none());
@@ -159,7 +159,7 @@ async fn a_read_that_finds_nothing_wakes_its_reader_again() {
 #[tokio::test]
 async fn a_read_that_fills_its_buffer_leaves_wake_ups_suspended() {
     let SerialLine { mut far, near, path } = line();
-    let mut port = SerialPort::open(&path).await.unwrap();
+    let mut port = open_serial(&path).await.unwrap();
     let mut bytes = [0; 3];
     assert!(port.hints().unwrap().suspend_wakeups());
     far.write_all(b"abcdefgh").await.unwrap();
