@@ -55,7 +55,7 @@ impl Doorway {
             return None;
         }
         let rays = scan.rays().zip(&self.background);
-        let near = rays.filter(|(ray, known)| ray.range() < *known - IN_FRONT);
+        let near = rays.filter(|(ray, known)| ray.measurement.range() < *known - IN_FRONT);
         let mut people: Vec<Vec<Point>> = Vec::new();
         for point in near.filter_map(|(ray, _)| ray.point()) {
             let is_near = |other: &Point| (point.x - other.x).hypot(point.y - other.y) < STRIDE;

@@ -4,7 +4,7 @@
 //! cargo run --example first_scans emulated
 //! ```
 
-use tokio_scip::{Error, Rate, Sensor, Window};
+use tokio_scip::{Error, ErrorChain, Rate, Sensor, Window};
 use urg_emulator::Emulator;
 
 #[tokio::main(flavor = "current_thread")]
@@ -24,7 +24,7 @@ async fn main() -> Result<(), Error> {
                 let (number, count) = (scan.sequence(), scan.points().count());
                 println!("scan {number}: {count} points, the nearest at {nearest:.3} m");
             }
-            Err(error) => eprintln!("no scan: {}", error.chain()), // the stream continues
+            Err(error) => eprintln!("no scan: {}", ErrorChain(&error)), // the stream continues
         }
     }
     Ok(())

@@ -7,7 +7,7 @@
 
 mod port;
 
-use tokio_scip::{Error, Rate, Sensor, Window};
+use tokio_scip::{Error, ErrorChain, Rate, Sensor, Window};
 
 #[tokio::main(flavor = "current_thread")]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -27,7 +27,7 @@ pub(crate) async fn run(sensor: Sensor, stop: impl Future<Output = ()>) -> Resul
             // Cancel-safe: no scan is lost if the other branch wins.
             scan = scans.next() => match scan {
                 Some(Ok(scan)) => println!("scan {}", scan.sequence()),
-                Some(Err(error)) => eprintln!("no scan: {}", error.chain()),
+                Some(Err(error)) => eprintln!("no scan: {}", ErrorChain(&error)),
                 None => break,
             },
         }

@@ -13,7 +13,7 @@ use std::process::Stdio;
 use tokio::io::{Join, join};
 use tokio::process::{Child, ChildStdin, ChildStdout, Command};
 use tokio_scip::port::{Connect, StreamPort};
-use tokio_scip::{Error, ErrorKind, Rate, Sensor, Window};
+use tokio_scip::{Error, ErrorChain, ErrorKind, Rate, Sensor, Window};
 use urg_emulator::Emulator;
 
 /// A command of the shell, started for each link.
@@ -65,7 +65,7 @@ async fn main() -> Result<(), Error> {
     while let Some(scan) = scans.next().await {
         match scan {
             Ok(scan) => println!("scan {}: {} points", scan.sequence(), scan.points().count()),
-            Err(error) => eprintln!("no scan: {}", error.chain()),
+            Err(error) => eprintln!("no scan: {}", ErrorChain(&error)),
         }
     }
     Ok(())

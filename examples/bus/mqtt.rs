@@ -5,7 +5,7 @@
 
 use rumqttc::{AsyncClient, MqttOptions, QoS};
 use std::time::Duration;
-use tokio_scip::{Rate, Sensor, Window};
+use tokio_scip::{Rate, Sensor, Window, ErrorChain};
 
 #[tokio::main]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -30,7 +30,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
                 let message = serde_json::to_vec(&scan)?;
                 bus.publish("urg/front/scan", QoS::AtMostOnce, false, message).await?;
             }
-            Err(error) => eprintln!("{}", error.chain()), // and the stream continues
+            Err(error) => eprintln!("{}", ErrorChain(&error)), // and the stream continues
         }
     }
     Ok(())

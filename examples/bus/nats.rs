@@ -3,7 +3,7 @@
 //! Keeps at most one scan: while the server is away it waits, then continues with the newest.
 //! Needs async-nats 0.51, tokio, tokio-scip and urg-recording.
 
-use tokio_scip::{Rate, Sensor, Window};
+use tokio_scip::{Rate, Sensor, Window, ErrorChain};
 use urg_recording::ros;
 
 #[tokio::main]
@@ -20,7 +20,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
                 ros::write_scan(&mut message, &scan, scan.first_ray_stamp(), "laser");
                 bus.publish("urg.front.scan", message.into()).await?;
             }
-            Err(error) => eprintln!("{}", error.chain()), // and the stream continues
+            Err(error) => eprintln!("{}", ErrorChain(&error)), // and the stream continues
         }
     }
     Ok(())

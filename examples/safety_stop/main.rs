@@ -29,7 +29,7 @@ use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::sync::{Notify, watch};
 use tokio::time::{Instant, sleep_until};
-use tokio_scip::{Rate, Scan, ScanStream, Sensor, SensorBuilder};
+use tokio_scip::{ErrorChain, Rate, Scan, ScanStream, Sensor, SensorBuilder};
 
 use self::zone::Zone;
 
@@ -207,7 +207,7 @@ pub(crate) async fn guard(
             () = reset.notified() => guard.is_reset = guard.clear_since.is_some(),
             scan = scans.next() => match scan {
                 Some(Ok(scan)) => permission.set(guard.take(&scan)),
-                Some(Err(error)) => eprintln!("no scan: {}", error.chain()),
+                Some(Err(error)) => eprintln!("no scan: {}", ErrorChain(&error)),
                 None => break,
             },
         }

@@ -99,7 +99,7 @@ impl Zone {
             let Some(far) = far.iter().copied().filter(|far| *far > 0.0).reduce(f64::max) else {
                 continue;
             };
-            let (range, degrees) = (ray.range(), ray.angle.to_degrees());
+            let (range, degrees) = (ray.measurement.range(), ray.angle.to_degrees());
             if f64::from(range) <= far + TOLERANCE {
                 return Err(format!("obstacle at {degrees:.1}°, {range:.3} m"));
             }

@@ -18,7 +18,7 @@ use std::collections::VecDeque;
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
-use tokio_scip::{Error, ErrorKind, Scan, Window};
+use tokio_scip::{Error, ErrorChain, ErrorKind, Scan, Window};
 
 /// Event in the life of a stream. `Display` writes a JSON object, such as
 /// `{"event":"disconnected","error":"..."}`, as in recordings. `From<&str>` reads it.
@@ -62,7 +62,7 @@ pub enum Event {
 /// with the error and its causes on one line.
 impl From<&Error> for Event {
     fn from(error: &Error) -> Self {
-        let text = error.chain().to_string();
+        let text = ErrorChain(&error).to_string();
         match error.kind() {
             ErrorKind::Disconnected { .. } => Self::Disconnected { error: text },
             _ => Self::Error { error: text },

@@ -5,8 +5,15 @@ use std::fmt;
 /// Error and its causes on one line: `Display` joins them with `: `.
 ///
 /// Leaves out a cause whose text already ends the line: some errors include the text of their
-/// cause. Wraps any error: `ErrorChain(&error)`. [`Error::chain`](crate::Error::chain) does the same
-/// for the errors of this crate.
+/// cause. Wraps any error.
+///
+/// ```
+/// use tokio_scip::{Error, ErrorChain};
+///
+/// let error = Error::open("/dev/ttyACM0", std::io::Error::other("device removed"));
+/// assert_eq!(error.to_string(), "cannot open /dev/ttyACM0");
+/// assert_eq!(ErrorChain(&error).to_string(), "cannot open /dev/ttyACM0: device removed");
+/// ```
 #[derive(Debug, Clone, Copy)]
 pub struct ErrorChain<'a>(pub &'a (dyn std::error::Error + 'a));
 
@@ -44,6 +51,6 @@ mod tests {
         let text = "cannot start: the link to the sensor is lost: device removed";
         assert_eq!(ErrorChain(&Outer(lost)).to_string(), text);
         let closed = Error::from(ErrorKind::Closed);
-        assert_eq!(closed.chain().to_string(), closed.to_string());
+        assert_eq!(ErrorChain(&closed).to_string(), closed.to_string());
     }
 }

@@ -30,9 +30,8 @@ use crate::protocol::{BaudRateError, MalformedError, ReplyError, WindowError, sc
 /// ```
 ///
 /// `Display` writes one line without the cause; [`source`](std::error::Error::source) returns it.
-/// In a log, write [`chain`](Self::chain), which has both. `{:?}` writes the same as `chain`: a
-/// `main` that returns the error tells your user what to do. `{:#?}` writes the kind with all its
-/// fields, for a bug report.
+/// In a log, write [`ErrorChain`], which has both. `{:?}` writes the same: a `main` that returns the
+/// error tells your user what to do. `{:#?}` writes the kind with all its fields, for a bug report.
 ///
 /// An error is a pointer, and cheap to clone: all callers that wait for the same event get the same
 /// error.
@@ -92,19 +91,6 @@ impl Error {
     pub fn is_transient(&self) -> bool {
         self.kind().is_transient()
     }
-
-    /// Formats the error and its causes on one line, for a log or a message.
-    ///
-    /// ```
-    /// use tokio_scip::Error;
-    ///
-    /// let error = Error::open("/dev/ttyACM0", std::io::Error::other("device removed"));
-    /// assert_eq!(error.to_string(), "cannot open /dev/ttyACM0");
-    /// assert_eq!(error.chain().to_string(), "cannot open /dev/ttyACM0: device removed");
-    /// ```
-    pub fn chain(&self) -> ErrorChain<'_> {
-        ErrorChain(self)
-    }
 }
 
 impl fmt::Display for Error {
@@ -120,7 +106,7 @@ impl fmt::Debug for Error {
             return f.debug_struct("Error").field("kind", kind).field("sensor", sensor).finish();
         }
         // Not `Debug` of the chain, which would come back here.
-        fmt::Display::fmt(&self.chain(), f)
+        fmt::Display::fmt(&ErrorChain(self), f)
     }
 }
 

@@ -44,11 +44,6 @@ impl Geometry {
         self.first_step..=self.last_step
     }
 
-    /// Step straight ahead.
-    pub const fn front_step(&self) -> u16 {
-        self.front_step
-    }
-
     /// Measurable distances in millimetres.
     pub const fn distances(&self) -> RangeInclusive<u32> {
         self.min_distance..=self.max_distance

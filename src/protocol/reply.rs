@@ -82,6 +82,7 @@ impl Reply {
     ///
     /// The errors of [`Reply::parse`] for the whole frame, if it does not end with the
     /// reply.
+    #[doc(hidden)]
     pub fn parse_end(command: &Command, frame: &[u8]) -> Result<Self, ReplyError> {
         // With data and without. Both lengths include the two LFs.
         let lengths = [command.reply_len() - 2, command.bytes().len() + 2];

@@ -191,6 +191,7 @@ impl Window {
     /// steps, or up to three more points in front or at the end, which make the echoes of
     /// successive polls differ. Finds the replies of a stream among all replies, as
     /// [`on_reply`](crate::SensorBuilder::on_reply) observes them.
+    #[doc(hidden)]
     pub fn is_polled_as(&self, asked: Window) -> bool {
         let mut widened = (0..=Self::MAX_EXTRA_POINTS).filter_map(|points| self.widened(points));
         widened.any(|(window, _)| window == asked)

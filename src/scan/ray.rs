@@ -21,17 +21,11 @@ pub struct Ray {
 }
 
 impl Ray {
-    /// Range in metres: a distance as it is, otherwise `+Inf` or `NaN`, as
-    /// [`Measurement::range`] defines them.
-    pub fn range(&self) -> f32 {
-        self.measurement.range()
-    }
-
     /// Returns the point that was measured, or `None` without a distance.
     pub fn point(&self) -> Option<Point> {
-        self.measurement.distance()?;
-        let Self { step, angle, offset, .. } = *self;
-        let (range, (sin, cos)) = (self.range(), angle.sin_cos());
+        let Self { step, angle, measurement, offset } = *self;
+        measurement.distance()?;
+        let (range, (sin, cos)) = (measurement.range(), angle.sin_cos());
         Some(Point { x: range * cos, y: range * sin, range, angle, step, offset })
     }
 }

@@ -9,7 +9,7 @@ use tokio::time::Instant;
 use super::link_log::LinkLog;
 use super::{State, StateWatch, lock};
 use crate::protocol::Version;
-use crate::{BaudRate, Error, ErrorKind};
+use crate::{BaudRate, Error, ErrorChain, ErrorKind};
 
 /// A driver that waits for its sensor repeats each reason in the log after this time.
 const WAITING_INTERVAL: Duration = Duration::from_secs(600);
@@ -67,7 +67,7 @@ impl LinkState {
         match state {
             State::Connecting { error: Some(error) } => {
                 if link_log.is_due(error, WAITING_INTERVAL) {
-                    tracing::info!(error = %error.chain(), "waiting for the sensor");
+                    tracing::info!(error = %ErrorChain(error), "waiting for the sensor");
                 }
             }
             State::Connecting { error: None } => tracing::debug!("searching for the sensor"),
@@ -88,7 +88,7 @@ impl LinkState {
             State::Disconnected { error, .. } => {
                 let is_logged = link_log.lose();
                 if link_log.is_due(error, Duration::MAX) {
-                    let error = error.chain();
+                    let error = ErrorChain(error);
                     match is_logged {
                         true => {
                             tracing::warn!(%error, losses = link_log.losses(), "disconnected");
@@ -98,7 +98,7 @@ impl LinkState {
                 }
             }
             State::Closed { error: Some(error) } => {
-                tracing::error!(error = %error.chain(), "the driver has ended");
+                tracing::error!(error = %ErrorChain(error), "the driver has ended");
             }
             State::Closed { error: None } => tracing::debug!("closed"),
         }
@@ -175,7 +175,7 @@ impl LinkState {
 
 /// Returns true if there still is no link, for the same reason.
 fn is_same(before: &State, now: &State) -> bool {
-    let text = |error: &Error| error.chain().to_string();
+    let text = |error: &Error| ErrorChain(error).to_string();
     match (before, now) {
         (State::Connecting { error: before }, State::Connecting { error: now }) => {
             before.as_ref().map(text) == now.as_ref().map(text)

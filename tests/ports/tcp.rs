@@ -5,7 +5,7 @@ use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpListener;
 use tokio_scip::port::{Connect, Port};
-use tokio_scip::{BaudRate, Endpoint, ErrorKind, Rate, Sensor, State, Window};
+use tokio_scip::{BaudRate, Endpoint, ErrorChain, ErrorKind, Rate, Sensor, State, Window};
 use urg_emulator::Emulator;
 
 use crate::common::set_baud_rate;
@@ -98,7 +98,7 @@ async fn an_error_of_a_server_that_never_answers_names_the_endpoint() {
     let endpoint = format!("tcp://{address}");
     let opened = tokio_scip::Sensor::builder().open_timeout(limit).open(&endpoint).await;
     let error = opened.unwrap_err();
-    assert_eq!(error.chain().to_string(), format!("cannot open {endpoint}: timed out"));
+    assert_eq!(ErrorChain(&error).to_string(), format!("cannot open {endpoint}: timed out"));
 }
 
 #[tokio::test]

@@ -20,7 +20,7 @@ use rerun::{
     TextLogLevel, ViewCoordinates,
 };
 use tokio_scip::scan::Pose;
-use tokio_scip::{Rate, Scan, Sensor, Window};
+use tokio_scip::{Rate, Scan, Sensor, Window, ErrorChain};
 use urg_emulator::{Emulator, Room};
 
 /// Time by which the viewer orders the scans: when the first ray was measured.
@@ -78,7 +78,7 @@ impl Mounted {
                 Ok(scan) => self.log_scan(viewer, &scan)?,
                 // The stream continues.
                 Err(error) => {
-                    let text = TextLog::new(error.chain().to_string());
+                    let text = TextLog::new(ErrorChain(&error).to_string());
                     let path = format!("{}/errors", self.name);
                     viewer.log(path, &text.with_level(TextLogLevel::WARN))?;
                 }

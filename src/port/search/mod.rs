@@ -13,7 +13,7 @@ use std::time::Duration;
 use tokio::time::{Instant, sleep, timeout};
 
 pub(super) use self::system_ports::SystemPorts;
-use crate::{Error, ErrorKind};
+use crate::{Error, ErrorChain, ErrorKind};
 
 /// Time for which busy ports are retried. A service that opens several sensors at once tries each
 /// on the others' ports. Such a port is free again as soon as the other driver has found that it
@@ -112,7 +112,7 @@ impl<P: Ports> Search<P> {
                         return Ok(port);
                     }
                     Ok(Err(error)) => {
-                        tracing::trace!(path, error = %error.chain(), "port skipped");
+                        tracing::trace!(path, error = %ErrorChain(&error), "port skipped");
                         if matches!(error.kind(), ErrorKind::PermissionDenied { .. }) {
                             pass.denied = Some(error);
                         } else {

@@ -21,7 +21,7 @@ use rustix::{
 };
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio_scip::port::{Connect, Port};
-use tokio_scip::{BaudRate, Endpoint, ErrorKind};
+use tokio_scip::{BaudRate, Endpoint, ErrorChain, ErrorKind};
 use tokio_serial::SerialPort as _;
 use tokio_serial::SerialStream;
 
@@ -247,7 +247,7 @@ async fn o04_the_lock_of_a_killed_program_is_named() {
             let error = open_serial(&path).await.err().unwrap();
             // A program that another test starts has the terminal for a moment.
             if !matches!(error.kind(), ErrorKind::Busy { .. }) {
-                break error.chain().to_string();
+                break ErrorChain(&error).to_string();
             }
         }
     };

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::time::Duration;
 
-use tokio_scip::{Freshness, Rate, Sensor, State, Window};
+use tokio_scip::{ErrorChain, Freshness, Rate, Sensor, State, Window};
 
 use crate::failure::chain;
 use crate::port::open::line_baud_rate;
@@ -53,7 +53,7 @@ fn overdue(freshness: &Freshness, limit: Duration) -> Option<String> {
     };
     if let Some(error) = &stale.source {
         // Writing to a `String` is infallible.
-        let _ = write!(why, ": {}", error.chain());
+        let _ = write!(why, ": {}", ErrorChain(&error));
     }
     Some(why)
 }
