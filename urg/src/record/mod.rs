@@ -1,38 +1,34 @@
 //! `urg record`: records scans, and every reply of the sensor, into a file. `limits` parses its
-//! options, `trigger` waits for the trigger of `--before`, and `totals` formats its progress.
+//! options, `trigger` waits for the trigger of `--before`, `writing` writes the file, and `totals`
+//! formats its progress.
 
 mod limits;
 mod totals;
 mod trigger;
+mod writing;
 
 use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::time::Instant;
 
-use tokio_scip::State;
 use urg_recording::{Recorder, RecorderBuilder, RecordingError, RecordingFile};
 
 use self::limits::{SplitLimit, sync_interval};
-use self::totals::RecordTotals;
 use self::trigger::trigger;
+use self::writing::{Writing, failure};
 use crate::args::{LinkArgs, PaceArgs, WindowArgs, duration, frame_id};
 use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
-use crate::output::stderr;
 use crate::output::stdout::is_closed;
 use crate::port::name::{PortArg, missing_port};
 use crate::port::open::{open, proven_baud_rate};
-use crate::recording::contents::ScanTimes;
 use crate::recording::recorded::Recorded;
 use crate::stream::feed::{Feed, Update};
 use crate::stream::follow::follow;
 use crate::stream::reporter::Reporter;
-
-/// Minimum time between updates of the progress line, so that you can read it.
-const REFRESH_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Record scans, and every reply of the sensor, into a file
 ///
@@ -152,107 +148,27 @@ impl Record {
             }
             None => Duration::ZERO,
         };
-        self.write(recorder, feed, reporter, &target, held, interrupt).await
+        let rate = feed.scans().rate();
+        let writing = Writing::new(recorder, reporter, &target, rate, held);
+        self.write(writing, feed, interrupt).await
     }
 
-    /// Writes the stream into the file until one of them ends, and then the end of the file, which
-    /// begins with the `held` time.
+    /// Writes the stream into the file until one of them ends.
     async fn write(
         &self,
-        mut recorder: Recorder,
+        mut writing: Writing<'_>,
         mut feed: Feed,
-        mut reporter: Reporter,
-        target: &str,
-        held: Duration,
         interrupt: &Interrupt,
     ) -> Result<(), Failure> {
-        let began = Instant::now() - held;
-        let mut times = ScanTimes::new(Some(feed.scans().rate()));
-        // When the progress line may change again.
-        let mut refresh_at = began;
-        let mut are_told = [false; 3];
-        let mut take = async |update: Update| {
-            reporter.report(&update);
-            let item = match update {
-                Update::Scan(scan) => {
-                    times.add(
-                        scan.received_at().saturating_duration_since(began),
-                        scan.times().stamp,
-                    );
-                    Ok(scan)
-                }
-                Update::Error(error) => Err(error),
-                Update::Event(_) => return Ok(()),
-            };
-            recorder.record(&item).map_err(|error| failure(target, &error))?;
-            let progress = recorder.progress();
-            let notices = [
-                (
-                    progress.cannot_sync,
-                    "this file system cannot sync files: if the power fails, more is lost",
-                ),
-                (
-                    progress.late_syncs > 0,
-                    "the disk is slow: it takes longer than --sync for what is written; no scan \
-                     is delayed, but more is lost if the power fails",
-                ),
-                (
-                    progress.cannot_remove,
-                    "an old file cannot be removed: all files take more than --keep",
-                ),
-            ];
-            for ((is_so, text), is_told) in notices.into_iter().zip(&mut are_told) {
-                if is_so && !std::mem::replace(is_told, true) {
-                    notice(text);
-                }
-            }
-            if Instant::now() < refresh_at {
-                return Ok(());
-            }
-            refresh_at = Instant::now() + REFRESH_INTERVAL;
-            stderr::show(|| {
-                let away = match reporter.sensor.watch_state().get() {
-                    State::Connected { .. } => "",
-                    _ => "; sensor away",
-                };
-                let totals = RecordTotals::new(recorder.progress(), &reporter, &times);
-                format!("{}{away} (Ctrl-C ends it)", totals.after(began.elapsed()))
-            });
-            Ok(())
-        };
-        let followed = follow(&mut feed, &self.pace, interrupt, &mut take).await;
+        let take = async |update| writing.take(update);
+        let followed = follow(&mut feed, &self.pace, interrupt, take).await;
         // Scans whose replies are in the file already.
         while followed.is_ok()
             && let Some(update) = feed.ready()
         {
-            take(update).await?;
+            writing.take(update)?;
         }
-        // Without a scan, the time that it waited for one.
-        let recorded = times.length();
-        let length = if recorded.is_zero() { began.elapsed() } else { held + recorded };
-        let completed = tokio::select! {
-            completed = recorder.complete() => completed.map_err(|error| failure(target, &error)),
-            () = interrupt.overdue() => Err(Failure::Failed(format!(
-                "{target}: the disk or the reader is too slow: the end of the recording is missing, and the rest can be read"
-            ))),
-        };
-        let finished = tokio::select! {
-            finished = recorder.finish(), if completed.is_ok() => {
-                finished.map_err(|error| failure(target, &error))
-            }
-            () = interrupt.overdue(), if completed.is_ok() => {
-                notice(format_args!(
-                    "{target}: the file is complete, but the disk is too slow: if the power fails \
-                     now, its end may be lost"
-                ));
-                completed
-            }
-            else => completed,
-        };
-        let ended = reporter.finish(followed?);
-        let totals = RecordTotals::new(finished?, &reporter, &times);
-        notice(format_args!("{target}: {}", totals.after(length)));
-        ended
+        writing.finish(followed, interrupt).await
     }
 
     /// Asks for the missing argument: FILE, or PORT if the only argument is a recording.
@@ -367,14 +283,4 @@ async fn hold(
     }
     recorder.trigger();
     Ok(began.elapsed())
-}
-
-fn failure(target: &str, error: &RecordingError) -> Failure {
-    match error {
-        RecordingError::Write { source } if source.kind() == io::ErrorKind::BrokenPipe => {
-            let text = format!("{target}: its reader has closed it, and the recording has ended");
-            Failure::Failed(text)
-        }
-        error => Failure::at(target, error),
-    }
 }
