@@ -23,6 +23,8 @@ const MAX_CANDIDATES: usize = 64;
 /// Least time per candidate, for a very short open timeout. A search retries busy ports for 2 s:
 /// [`MAX_CANDIDATES`] times this is longer.
 const CANDIDATE_TIME: Duration = Duration::from_millis(40);
+/// Time limit for finding a silent sensor again: one pass over the baud rates.
+const RECOVERY_TIMEOUT: Duration = Duration::from_millis(2500);
 
 /// Opens the port, and restores the settings of the sensor behind it.
 pub(crate) struct Opener {
@@ -154,10 +156,10 @@ impl Opener {
         session: &mut Session,
         laser: Option<bool>,
     ) -> Result<(), LinkError> {
-        // One pass over the baud rates; then the port is reopened. Without baud rates to search,
-        // half the time: it was probed for twice as long before.
+        // Then the port is reopened. Without baud rates to search, half the time: it was probed for
+        // twice as long before.
         let share = if session.is_searchable() { 1 } else { 2 };
-        self.find(session, laser, self.config.recovery_timeout / share).await
+        self.find(session, laser, RECOVERY_TIMEOUT / share).await
     }
 
     async fn find(
