@@ -247,6 +247,12 @@ fn a_text_parses_to_the_calls_it_stands_for() {
         .reset(0.1)
         .seed(7);
     assert_eq!(parsed, called);
+    let parsed: Faults = "ignored=0.5,wrong-sum=0.1,clock-jump=1:250ms".parse().unwrap();
+    let called = Faults::none()
+        .rate(0.5, Fault::Ignored)
+        .rate(0.1, Fault::WrongSum)
+        .clock_jump(1.0, Duration::from_millis(250));
+    assert_eq!(parsed, called);
     assert_eq!("".parse(), Ok(Faults::none()));
     assert_eq!("pause=1:250ms".parse(), Ok(Faults::none().paused(1.0, Duration::from_millis(250))));
 }

@@ -5,6 +5,7 @@ mod commands;
 mod driver;
 mod faults;
 mod histories;
+mod scripts;
 mod states;
 mod streams;
 
