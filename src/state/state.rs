@@ -3,7 +3,7 @@
 use tokio::time::Instant;
 
 use crate::protocol::Text;
-use crate::{BaudRate, Error, ErrorChain};
+use crate::{BaudRate, Error};
 
 /// State of the driver and its link. Watch it with
 /// [`Sensor::watch_state`](crate::Sensor::watch_state). [`Closed`](Self::Closed) is final.
@@ -76,7 +76,7 @@ impl State {
 /// Serialises an error and its causes as one text.
 #[cfg(feature = "serde")]
 fn chain<S: serde::Serializer>(error: &Error, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.collect_str(&ErrorChain(error))
+    serializer.collect_str(&crate::ErrorChain(error))
 }
 
 #[cfg(feature = "serde")]

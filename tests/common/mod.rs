@@ -19,7 +19,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tokio_scip::port::{Connect, Port};
 use tokio_scip::state::Freshness;
-use tokio_scip::{BaudRate, Endpoint, Error, Scan, Sensor, SensorBuilder, Window};
+use tokio_scip::{BaudRate, Error, Scan, Sensor, SensorBuilder, Window};
 use urg_emulator::{Emulator, EmulatorBuilder, Received, Values, Verdict, WorldTime};
 
 /// Returns why the last scan of a sensor is too old.
@@ -124,9 +124,9 @@ pub(crate) fn builder() -> SensorBuilder {
 }
 
 /// Opens a serial port of this machine, as the driver does.
-#[cfg(unix)]
+#[cfg(all(unix, feature = "serial"))]
 pub(crate) async fn open_serial(path: &str) -> Result<Box<dyn Port>, Error> {
-    Endpoint::Serial(path.to_owned()).into_connector().connect().await
+    tokio_scip::Endpoint::Serial(path.to_owned()).into_connector().connect().await
 }
 
 pub(crate) const fn ms(milliseconds: u64) -> Duration {
