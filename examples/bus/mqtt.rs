@@ -5,7 +5,7 @@
 
 use rumqttc::{AsyncClient, MqttOptions, QoS};
 use std::time::Duration;
-use tokio_scip::{Rate, Sensor, Window, ErrorChain};
+use tokio_scip::{ErrorChain, Rate, Sensor, Window};
 
 #[tokio::main]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {

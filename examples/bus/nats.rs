@@ -3,7 +3,7 @@
 //! Keeps at most one scan: while the server is away it waits, then continues with the newest.
 //! Needs async-nats 0.51, tokio, tokio-scip and urg-recording.
 
-use tokio_scip::{Rate, Sensor, Window, ErrorChain};
+use tokio_scip::{ErrorChain, Rate, Sensor, Window};
 use urg_recording::ros;
 
 #[tokio::main]

@@ -20,7 +20,7 @@ use rerun::{
     TextLogLevel, ViewCoordinates,
 };
 use tokio_scip::scan::Pose;
-use tokio_scip::{Rate, Scan, Sensor, Window, ErrorChain};
+use tokio_scip::{ErrorChain, Rate, Scan, Sensor, Window};
 use urg_emulator::{Emulator, Room};
 
 /// Time by which the viewer orders the scans: when the first ray was measured.
