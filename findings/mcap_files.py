@@ -17,13 +17,14 @@ def record(kind, body):
     return bytes([kind]) + struct.pack("<Q", len(body)) + body
 
 
-def schema():
-    return record(3, struct.pack("<H", 1) + text("std_msgs/msg/String") + text("ros2msg") + text("string data\n"))
+def schema(end=b""):
+    body = struct.pack("<H", 1) + text("std_msgs/msg/String") + text("ros2msg") + text("string data\n")
+    return record(3, body + end)
 
 
-def channel():
+def channel(end=b""):
     qos = text("offered_qos_profiles") + text("")
-    return record(4, struct.pack("<HH", 1, 1) + text("/chatter") + text("cdr") + text(qos))
+    return record(4, struct.pack("<HH", 1, 1) + text("/chatter") + text("cdr") + text(qos) + end)
 
 
 def time_of(number):
@@ -52,17 +53,18 @@ def file(data, summary):
     return start + summary + footer + MAGIC
 
 
-def unchunked(grown_end=b""):
+def unchunked(grown_end=b"", order=QUARTET, schema_end=b"", channel_end=b""):
     """Four messages, one each second, with a summary but no chunks."""
-    data = schema() + channel() + b"".join(map(message, QUARTET)) + data_end(grown_end)
-    return file(data, schema() + channel() + statistics(0))
+    before = schema(schema_end) + channel(channel_end)
+    data = before + b"".join(map(message, order)) + data_end(grown_end)
+    return file(data, before + statistics(0))
 
 
-def chunked(grown_end=b"", is_indexed=True, is_reversed=False):
+def chunked(grown_end=b"", is_indexed=True, is_reversed=False, order=QUARTET, schema_end=b"", channel_end=b""):
     """The same in one chunk, with or without an index, published in this order or the reverse."""
-    before = schema() + channel()
+    before = schema(schema_end) + channel(channel_end)
     inner, entries = before, b""
-    for number in QUARTET:
+    for number in order:
         entries += struct.pack("<QQ", time_of(number), len(inner))
         inner += message(number, 3 - number if is_reversed else number)
     times = struct.pack("<QQ", time_of(0), time_of(3))

@@ -189,8 +189,7 @@ def slowest_health(seconds):
 
 
 def a_sensor_that_takes_no_bytes_delays_no_other():
-    """Closing its terminal takes 30 s. On a busy host the machine itself has gaps: it counts how
-    much longer they become."""
+    """Closing its terminal takes 30 s."""
     server = Running(f"serve front=serial:H0000001 rear={second.path()} --listen 8090")
     arrivals = {"front": [], "rear": []}
 
@@ -211,7 +210,7 @@ def a_sensor_that_takes_no_bytes_delays_no_other():
         rear = [time for time in arrivals["rear"] if time > began]
         return max(after - before for before, after in zip(rear, rear[1:])), health
 
-    usual_gap, usual_health = largest_gap_and_slowest_health(20)
+    machine = Lateness()
     first.hang()
     gap, health = largest_gap_and_slowest_health(50)
     first.recover()
@@ -222,11 +221,26 @@ def a_sensor_that_takes_no_bytes_delays_no_other():
     time.sleep(10)
     ended = end_of(server, signal.SIGINT)
     first.recover()
-    told = (f"gap {gap:.2f} s, before {usual_gap:.2f} s; /health {health:.2f} s, before {usual_health:.2f} s; "
-            f"back after {back:.1f} s, Ctrl-C {ended:.2f} s")
-    expect(gap < max(0.5, 2 * usual_gap) and health < max(1, 2 * usual_health), told)
-    expect(back < max(1.5, 2 * usual_gap) and ended < 1, told)
+    late = machine.largest
+    told = (f"gap {gap:.2f} s, /health {health:.2f} s, back after {back:.1f} s, Ctrl-C {ended:.2f} s; "
+            f"the machine itself was late by {late:.2f} s")
+    expect(gap < 0.5 + late and health < 1 + late and back < 1.5 + late and ended < 1 + late, told)
     return told
+
+
+class Lateness(threading.Thread):
+    """How late this machine wakes a thread that sleeps: an emulated one has gaps of its own."""
+
+    def __init__(self):
+        super().__init__(daemon=True)
+        self.largest = 0
+        self.start()
+
+    def run(self):
+        while True:
+            due = time.monotonic() + 0.02
+            time.sleep(0.02)
+            self.largest = max(self.largest, time.monotonic() - due)
 
 
 def end_of(running, sent=None):

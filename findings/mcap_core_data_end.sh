@@ -1,10 +1,12 @@
-"""@mcap/core 2.2.2 (npm) cannot open a file whose "data end" record has grown.
-
-The format lets a record have new fields at its end, which readers skip. Expected: the messages, as
-with every other record that has grown. It reads the record as if its length were fixed, and takes
-bytes of it for the length of another record. The Python packages mcap and rosbags read the file.
-"""
-
+#!/usr/bin/env bash
+# @mcap/core 2.2.2 (npm) cannot open a file whose "data end" record has grown.
+#
+# The format lets a record have new fields at its end, which readers skip. Expected: the messages, as
+# with every other record that has grown. It reads the record as if its length were fixed, and takes
+# bytes of it for the length of another record. The Python packages mcap and rosbags read the file.
+set -euo pipefail
+cd "$(dirname "$0")"
+python3 - <<'END'
 import subprocess
 
 from mcap_files import chunked
@@ -41,3 +43,4 @@ compare(
     {"as usual": read(chunked()), "grown by 6 bytes": grown},
     {"as usual": "opened", "grown by 6 bytes": "Record content length 144396663052566528 is too large"},
 )
+END

@@ -1,10 +1,12 @@
-"""hokuyolx 0.9.0 (PyPI) takes what one `recv` returns for one reply, and silently drops a scan.
-
-A UST-10LX acknowledges `MD` and then sends a scan at each revolution. Where both replies arrive
-together, as TCP permits, the first scan is gone: it is read as a part of the acknowledgement, without
-an error. Expected: 3 scans both times.
-"""
-
+#!/usr/bin/env bash
+# hokuyolx 0.9.0 (PyPI) takes what one `recv` returns for one reply, and silently drops a scan.
+#
+# A UST-10LX acknowledges `MD` and then sends a scan at each revolution. Where both replies arrive
+# together, as TCP permits, the first scan is gone: it is read as a part of the acknowledgement, without
+# an error. Expected: 3 scans both times.
+set -euo pipefail
+cd "$(dirname "$0")"
+python3 - <<'END'
 import socket
 import threading
 import time
@@ -60,3 +62,4 @@ def distances(are_together):
 
 seen = {"apart": distances(False), "together": distances(True)}
 compare(seen, {"apart": [1001, 1002, 1003], "together": [1002, 1003]})
+END

@@ -1,9 +1,11 @@
-"""@mcap/core 2.2.2 (npm): McapIndexedReader opens a file without chunks and yields no message.
-
-The file is valid and has a summary, whose statistics say 4 messages. Expected: the messages, or the
-error "File is not indexed" that a file without a summary gets.
-"""
-
+#!/usr/bin/env bash
+# @mcap/core 2.2.2 (npm): McapIndexedReader opens a file without chunks and yields no message.
+#
+# The file is valid and has a summary, whose statistics say 4 messages. Expected: the messages, or the
+# error "File is not indexed" that a file without a summary gets.
+set -euo pipefail
+cd "$(dirname "$0")"
+python3 - <<'END'
 import json
 import subprocess
 
@@ -35,3 +37,4 @@ def read(data):
 
 seen = {"with chunks": read(chunked()), "without": read(unchunked())}
 compare(seen, {"with chunks": [4, [0, 1, 2, 3]], "without": [4, []]})
+END

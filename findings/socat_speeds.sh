@@ -1,10 +1,12 @@
-"""socat 1.7.4.4 (Debian 12) knows 500,000 baud and neither 250,000 nor 750,000, and `ispeed` takes no speeds.
-
-Linux sets any number (termios2), as pyserial does. Expected: each speed of a serial sensor as `b250000`, or the
-rest by `ispeed=250000`. Both are errors, and so is `ispeed=115200`: it wants the number that the system's header
-gives to the constant B115200, 4098.
-"""
-
+#!/usr/bin/env bash
+# socat 1.7.4.4 (Debian 12) knows 500,000 baud and neither 250,000 nor 750,000, and `ispeed` takes no speeds.
+#
+# Linux sets any number (termios2), as pyserial does. Expected: each speed of a serial sensor as `b250000`, or the
+# rest by `ispeed=250000`. Both are errors, and so is `ispeed=115200`: it wants the number that the system's header
+# gives to the constant B115200, 4098.
+set -euo pipefail
+cd "$(dirname "$0")"
+python3 - <<'END'
 import subprocess
 
 from place import compare, debian
@@ -26,3 +28,4 @@ compare({option: error(option) for option in options}, {
     "ispeed=115200": "cfsetispeed",
     "ispeed=4098": "",
 })
+END

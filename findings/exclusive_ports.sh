@@ -1,10 +1,12 @@
-"""Two kinds of exclusive: pyserial's `exclusive=True` (flock) and a terminal's TIOCEXCL do not know of each other.
-
-Expected: a port that one program holds exclusively cannot be held exclusively by another. pyserial 3.5
-takes a lock on the file. Programs in C, and Rust's serialport, mark the terminal. So both hold it. The mark
-also stays when the program that made it has closed the port, as long as any other has it open.
-"""
-
+#!/usr/bin/env bash
+# Two kinds of exclusive: pyserial's `exclusive=True` (flock) and a terminal's TIOCEXCL do not know of each other.
+#
+# Expected: a port that one program holds exclusively cannot be held exclusively by another. pyserial 3.5
+# takes a lock on the file. Programs in C, and Rust's serialport, mark the terminal. So both hold it. The mark
+# also stays when the program that made it has closed the port, as long as any other has it open.
+set -euo pipefail
+cd "$(dirname "$0")"
+python3 - <<'END'
 import fcntl
 import os
 import platform
@@ -47,3 +49,4 @@ compare(seen, {
     "still marked after it closed": True,
     "pyserial reads": True,
 })
+END

@@ -1,9 +1,11 @@
-"""mcap 1.6.0 (PyPI) reads a file without chunks forwards although it is asked for `reverse=True`.
-
-Chunks are optional. Expected: the newest message first, or an error that says that this file cannot
-be read backwards, as its documentation of `reverse` names no condition.
-"""
-
+#!/usr/bin/env bash
+# mcap 1.6.0 (PyPI) reads a file without chunks forwards although it is asked for `reverse=True`.
+#
+# Chunks are optional. Expected: the newest message first, or an error that says that this file cannot
+# be read backwards, as its documentation of `reverse` names no condition.
+set -euo pipefail
+cd "$(dirname "$0")"
+python3 - <<'END'
 from place import PLACE, compare, pypi
 
 pypi("mcap==1.6.0")
@@ -20,3 +22,4 @@ def backwards(data):
 
 seen = {"with chunks": backwards(chunked()), "without": backwards(unchunked())}
 compare(seen, {"with chunks": [3, 2, 1, 0], "without": [0, 1, 2, 3]})
+END

@@ -1,9 +1,11 @@
-"""`rerun mcap check` 0.41.0 (PyPI, rerun-sdk) exits with 0 when it finds a problem, and when it finds nothing.
-
-Messages that were published in another order than they were logged are a PROBLEM in its table. Expected:
-another exit status, as a check in a script needs one. A file without chunks, which is valid, has no row in the table: its messages are not seen.
-"""
-
+#!/usr/bin/env bash
+# `rerun mcap check` 0.41.0 (PyPI, rerun-sdk) exits with 0 when it finds a problem, and when it finds nothing.
+#
+# Messages that were published in another order than they were logged are a PROBLEM in its table. Expected:
+# another exit status, as a check in a script needs one. A file without chunks, which is valid, has no row in the table: its messages are not seen.
+set -euo pipefail
+cd "$(dirname "$0")"
+python3 - <<'END'
 import os
 import subprocess
 import sys
@@ -33,3 +35,4 @@ seen = {
     "without chunks": check(unchunked()),
 }
 compare(seen, {"in order": (0, ["ok"]), "out of order": (0, ["PROBLEM"]), "without chunks": (0, [])})
+END

@@ -1,10 +1,12 @@
-"""Linux: a pseudo-terminal says that all output is sent while nobody has read a byte of it.
-
-Expected of 1,000 bytes that the other side has not read: `out_waiting` (TIOCOUTQ) is 1,000, `flush`
-(tcdrain) waits, and `reset_output_buffer` (tcflush) drops them, as on a serial port. They are 0, no wait,
-and no effect. So no test on a pseudo-terminal shows how a program treats output that is stuck.
-"""
-
+#!/usr/bin/env bash
+# Linux: a pseudo-terminal says that all output is sent while nobody has read a byte of it.
+#
+# Expected of 1,000 bytes that the other side has not read: `out_waiting` (TIOCOUTQ) is 1,000, `flush`
+# (tcdrain) waits, and `reset_output_buffer` (tcflush) drops them, as on a serial port. They are 0, no wait,
+# and no effect. So no test on a pseudo-terminal shows how a program treats output that is stuck.
+set -euo pipefail
+cd "$(dirname "$0")"
+python3 - <<'END'
 import os
 import platform
 import pty
@@ -32,3 +34,4 @@ seen = {
     "bytes after they were dropped": len(os.read(owner, 4096)),
 }
 compare(seen, {"bytes to be sent": 0, "flush waits": False, "bytes after they were dropped": 1000})
+END

