@@ -82,11 +82,16 @@ async fn a_recording_of_a_replay_has_the_same_bytes() {
 async fn a_replay_takes_the_recorded_time_or_none() {
     let sink = Sink::new();
     record(sensor(), &sink, Window::DETECTION, 50).await;
+    let stamps = |scans: &[Scan]| scans.iter().map(Scan::first_ray_stamp).collect::<Vec<_>>();
+    let recorded: Vec<Scan> = sink.open().scans().map(Result::unwrap).collect();
     let mut took = Vec::new();
     for pace in [ReplayPace::Recorded, ReplayPace::Max] {
         let began = Instant::now();
-        drain(sink.open().replay(pace).unwrap(), Window::DETECTION, Rate::UNLIMITED).await;
+        let replay = sink.open().replay(pace).unwrap();
+        let replayed = drain(replay, Window::DETECTION, Rate::UNLIMITED).await;
         took.push(began.elapsed());
+        let replayed: Vec<Scan> = replayed.into_iter().map(Result::unwrap).collect();
+        assert_eq!(stamps(&replayed), stamps(&recorded), "{pace:?}");
     }
     // 49 periods of 100 ms, and the time of opening.
     assert!(

@@ -61,7 +61,8 @@ impl Scan {
     /// the [`quality`](ScanTimes::quality) to see whether the lateness is known.
     ///
     /// The first point is never before the last one of the scan before on the same link: after a late
-    /// scan this one is later, too. Only scans that come faster than the motor turns overlap.
+    /// scan this one is later, too. Only scans that come faster than the motor turns overlap, and
+    /// those of a recording, whose stamps rest on the recorded arrivals alone.
     ///
     /// # Accuracy
     ///
