@@ -2,15 +2,12 @@
 
 use std::f64::consts::TAU;
 
-use tokio_scip::{Measurement, Scan, Window};
+use tokio_scip::{Geometry, Measurement, Scan, Window};
 
 /// Tolerance in metres, because scans round distances to `f32`.
 const TOLERANCE: f64 = 1e-6;
-/// The sensor measures nothing nearer or farther, in metres (C-42-3320-A p. 7).
-const RANGE: (f64, f64) = (0.020, 4.094);
-/// One step in radians, and the step at the front (p. 7).
-const STEP: f64 = TAU / 1024.0;
-const FRONT: i32 = 384;
+/// Sensor before which the zone lies.
+const SENSOR: Geometry = Geometry::URG_04LX;
 
 /// Area inside an outline, and all that lies between it and the sensor.
 ///
@@ -44,21 +41,33 @@ impl Zone {
         if let Some(vertex) = outline.iter().find(|(x, y)| !(x.is_finite() && y.is_finite())) {
             return Err(format!("expected finite vertices, found {vertex:?}"));
         }
-        let mut far = vec![0.0; 769];
-        for step in FRONT - 512..FRONT + 512 {
-            let angle = f64::from(step - FRONT) * STEP;
-            let Some(end) = self::far(outline, angle).filter(|end| *end > RANGE.0) else {
+        let metres = |millimetres: &u32| f64::from(*millimetres) / 1000.0;
+        let (nearest, farthest) =
+            (metres(SENSOR.distances().start()), metres(SENSOR.distances().end()));
+        let angle_of_step = TAU / f64::from(SENSOR.steps_per_revolution());
+        let ends = [Window::FULL.start(), Window::FULL.end()].map(|step| SENSOR.degrees(step));
+        let mut far = vec![0.0; Window::FULL.points()];
+        // All directions from the rear on, also those that no step has.
+        let first_step = ((f64::from(ends[0]) + 180.0).to_radians() / angle_of_step).round();
+        for turned in 0..SENSOR.steps_per_revolution() {
+            let degrees = (f64::from(turned) * angle_of_step).to_degrees() - 180.0;
+            let end = self::far(outline, degrees.to_radians());
+            let Some(end) = end.filter(|end| *end > nearest) else {
                 continue;
             };
-            let degrees = angle.to_degrees();
-            if end > RANGE.1 + TOLERANCE {
-                return Err(format!(
-                    "the zone reaches {end:.3} m at {degrees:.1}°, beyond 4.094 m"
-                ));
+            if end > farthest + TOLERANCE {
+                let reach = format!("{end:.3} m at {degrees:.1}°");
+                return Err(format!("the zone reaches {reach}, beyond {farthest} m"));
             }
-            match usize::try_from(step).ok().and_then(|step| far.get_mut(step)) {
+            let step = usize::from(turned).checked_sub(first_step as usize);
+            match step.and_then(|step| far.get_mut(step)) {
                 Some(far) => *far = end,
-                None => return Err(format!("the zone reaches {degrees:.1}°, beyond -135 to 135°")),
+                None => {
+                    let [first, last] = ends;
+                    return Err(format!(
+                        "the zone reaches {degrees:.1}°, beyond {first} to {last}°"
+                    ));
+                }
             }
         }
         let crossing = |far: &f64| *far > 0.0;
@@ -68,9 +77,9 @@ impl Zone {
             return Err("no ray crosses the zone".into());
         };
         let reach = outline.iter().map(|(x, y)| x.hypot(*y)).fold(0.0, f64::max);
-        let obstacle_steps = 2.0 * (smallest_obstacle / 2.0).atan2(reach) / STEP;
-        if !(1.0..512.0).contains(&obstacle_steps) {
-            let least = 2.0 * reach * (STEP / 2.0).tan();
+        let obstacle_steps = 2.0 * (smallest_obstacle / 2.0).atan2(reach) / angle_of_step;
+        if !(1.0..f64::from(SENSOR.steps_per_revolution() / 2)).contains(&obstacle_steps) {
+            let least = 2.0 * reach * (angle_of_step / 2.0).tan();
             return Err(format!("expected an obstacle of {least:.3} m or more"));
         }
         let window = Window::new(first as u16..=last as u16).map_err(|error| error.to_string())?;

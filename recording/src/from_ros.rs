@@ -1,16 +1,15 @@
 //! [`MessageScan`]: what a `/scan` message tells about the reply that it was made of. Recordings
 //! without replies have nothing else.
 
+use std::f64::consts::TAU;
 use std::ops::RangeInclusive;
 use std::time::{Duration, SystemTime};
 
 use crate::ros::LaserScan;
-use tokio_scip::{Scan, Window};
+use tokio_scip::{Geometry, Scan, Window};
 
-/// Angle from one step to the next in radians.
-const STEP: f64 = std::f64::consts::TAU / 1024.0;
-/// Number of the step that points to the front.
-const FRONT: f64 = 384.0;
+/// Sensor whose scans are read.
+const SENSOR: Geometry = Geometry::URG_04LX;
 /// Largest difference of an angle from its step, in steps. Other laser scanners have other angles.
 const TOLERANCE: f64 = 0.05;
 /// Error code 19, "Non-Measurable Distance", in place of all codes that a message has as NaN, and of
@@ -72,7 +71,7 @@ fn has_directions(message: &LaserScan, window: &Window) -> bool {
     let is_near = |ours: f64, theirs: f64| (ours - theirs).abs() < TOLERANCE;
     let [first, last] = [message.angle_min, message.angle_max].map(step);
     window.points() == message.ranges.len()
-        && is_near(window.cluster_count().into(), f64::from(message.angle_increment) / STEP)
+        && is_near(window.cluster_count().into(), steps(message.angle_increment))
         && ends(window).iter().any(|[ours, end]| is_near(*ours, first) && is_near(*end, last))
 }
 
@@ -80,25 +79,32 @@ fn has_directions(message: &LaserScan, window: &Window) -> bool {
 /// all steps of its cluster that exist.
 fn by_definition(message: &LaserScan) -> Option<Window> {
     let cluster = cluster(message)?;
-    let start = whole(step(message.angle_min) - f64::from(cluster - 1) / 2.0, 0..=768)?;
+    let start =
+        whole(step(message.angle_min) - f64::from(cluster - 1) / 2.0, 0..=Window::FULL.end())?;
     let steps = u16::try_from(message.ranges.len()).ok()?.checked_mul(cluster.into())?;
-    let end = start.checked_add(steps.checked_sub(1)?)?.min(768);
+    let end = start.checked_add(steps.checked_sub(1)?)?.min(Window::FULL.end());
     Window::new(start..=end).ok()?.with_cluster_count(cluster).ok()
 }
 
 /// Window from the step at `angle_min` to the step at `angle_max`, if there is one.
 fn by_steps(message: &LaserScan) -> Option<Window> {
-    let end = |angle| whole(step(angle), 0..=768);
+    let end = |angle| whole(step(angle), 0..=Window::FULL.end());
     let window = Window::new(end(message.angle_min)?..=end(message.angle_max)?).ok()?;
     window.with_cluster_count(cluster(message)?).ok()
 }
 
 fn cluster(message: &LaserScan) -> Option<u8> {
-    whole(f64::from(message.angle_increment) / STEP, 1..=99)?.try_into().ok()
+    whole(steps(message.angle_increment), 1..=99)?.try_into().ok()
 }
 
+/// Converts an angle in radians to a number of steps.
+fn steps(angle: f32) -> f64 {
+    f64::from(angle) / TAU * f64::from(SENSOR.steps_per_revolution())
+}
+
+/// Step in the direction of an angle in radians.
 fn step(angle: f32) -> f64 {
-    f64::from(angle) / STEP + FRONT
+    steps(angle) - steps(SENSOR.degrees(0).to_radians())
 }
 
 fn whole(number: f64, range: RangeInclusive<u16>) -> Option<u16> {
@@ -189,7 +195,7 @@ mod tests {
     fn clusters_of_urg_node_are_read() {
         for cluster in 1..=99 {
             let window = Window::DETECTION.with_cluster_count(cluster).unwrap();
-            let angle = |step: u16| ((f64::from(step) - FRONT) * STEP) as f32;
+            let angle = |step: u16| SENSOR.degrees(step).to_radians();
             let (angle_min, angle_max) = (angle(44), angle(725));
             let theirs = LaserScan { angle_min, angle_max, ..message(window) };
             let read = MessageScan::from_message(&theirs, None).unwrap();
