@@ -90,7 +90,9 @@ fn replies_faster_than_the_baud_rate_are_reported() {
     let served = Served::start(&sensor.port);
     served.get("/scans?max=3").text();
     assert_eq!(served.state()["baud_rate"], Value::Null);
-    drop(served);
+    // Killed, it would leave its lock on the terminal, which its sensor keeps open.
+    served.running.signal("INT");
+    served.running.end();
     let file = Scratch::mcap("outrun-recorded");
     run(&format!("record {} {} --count 3", sensor.port, file.path()), 0);
     let recorded = run(&format!("info {}", file.path()), 0).stdout;
