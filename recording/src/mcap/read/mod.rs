@@ -126,64 +126,19 @@ impl Sections {
             if self.window.peek(1)?.is_empty() {
                 return Ok(self.end_early());
             }
-            let Some(extent) = self.window.measure()? else {
-                return self.resynchronise(WRONG_HEAD);
-            };
-            if extent.kind == kind::MESSAGE {
-                self.has_chunks.get_or_insert(false);
-            }
-            let next = self.next_start(&extent)?;
-            if next < extent.end {
-                let error = self.damaged(WRONG_HEAD);
-                self.used = next as usize;
-                return Err(error);
-            }
+            let extent = self.extent()?;
             let length = extent.end.min(MAX_CHUNK_BYTES + RECORD_HEAD as u64) as usize;
             match extent.kind {
                 // Without its lengths.
                 _ if extent.fields == u64::MAX => return Ok(self.end_early()),
+                kind::CHUNK => return self.chunk(length),
+                kind::HEADER..=kind::MESSAGE | kind::METADATA => {
+                    return self.record(&extent, length);
+                }
                 kind::DATA_END | kind::FOOTER => {
-                    // The damaged kind of another record.
-                    let is_last = self.window.peek(length + 1)?.len() <= length;
-                    if !is_last && self.window.begins(extent.end, is_data)? {
-                        return self.resynchronise(WRONG_HEAD);
-                    }
-                    if extent.kind == kind::DATA_END && self.has_wrong_checksum() {
-                        return Err(self.damaged("the checksum of the file is wrong"));
-                    }
-                    self.is_truncated |= !self.is_end_whole(&extent)?;
-                    if !self.skip_to_joined()? {
+                    if !self.end(&extent, length)? {
                         return Ok(None);
                     }
-                    self.has_chunks = None;
-                }
-                kind::CHUNK => {
-                    self.has_chunks = Some(true);
-                    self.window.peek(length)?;
-                    return self.chunk(length);
-                }
-                kind::HEADER..=kind::MESSAGE | kind::METADATA => {
-                    if self.window.peek(length)?.len() < length {
-                        return Ok(self.end_early());
-                    }
-                    let content = RECORD_HEAD..extent.fields as usize;
-                    if extent.kind == kind::MESSAGE
-                        && self.has_chunks == Some(true)
-                        && is_message_index(self.window.bytes(content.clone()))
-                    {
-                        return self.resynchronise(WRONG_HEAD);
-                    }
-                    if !is_well_formed(extent.kind, self.window.bytes(content.clone())) {
-                        // Its length may come from its damaged fields.
-                        let error = self.damaged("a record is malformed");
-                        match self.window.begins(extent.end, |_| true)? {
-                            true => self.used = length,
-                            false => drop(self.find_record()?),
-                        }
-                        return Err(error);
-                    }
-                    self.used = length;
-                    return Ok(Some(Section::Record { kind: extent.kind, content }));
                 }
                 _ => {
                     if !self.window.skip_with(extent.end, |_| {})? {
@@ -192,6 +147,67 @@ impl Sections {
                 }
             }
         }
+    }
+
+    /// Measures the record here. Fails if its head is wrong.
+    fn extent(&mut self) -> Result<Extent, FileError> {
+        let Some(extent) = self.window.measure()? else {
+            return self.resynchronise(WRONG_HEAD);
+        };
+        if extent.kind == kind::MESSAGE {
+            self.has_chunks.get_or_insert(false);
+        }
+        let next = self.next_start(&extent)?;
+        if next < extent.end {
+            let error = self.damaged(WRONG_HEAD);
+            self.used = next as usize;
+            return Err(error);
+        }
+        Ok(extent)
+    }
+
+    /// Reads the record here, which has `length` bytes if the file was not cut off.
+    fn record(&mut self, extent: &Extent, length: usize) -> Result<Option<Section>, FileError> {
+        if self.window.peek(length)?.len() < length {
+            return Ok(self.end_early());
+        }
+        let content = RECORD_HEAD..extent.fields as usize;
+        if extent.kind == kind::MESSAGE
+            && self.has_chunks == Some(true)
+            && is_message_index(self.window.bytes(content.clone()))
+        {
+            return self.resynchronise(WRONG_HEAD);
+        }
+        if !is_well_formed(extent.kind, self.window.bytes(content.clone())) {
+            // Its length may come from its damaged fields.
+            let error = self.damaged("a record is malformed");
+            match self.window.begins(extent.end, |_| true)? {
+                true => self.used = length,
+                false => self.find_record()?,
+            }
+            return Err(error);
+        }
+        self.used = length;
+        Ok(Some(Section::Record { kind: extent.kind, content }))
+    }
+
+    /// Reads the record here, which ends the data of a file. Returns true if another file is joined
+    /// to it, and goes on there.
+    fn end(&mut self, extent: &Extent, length: usize) -> Result<bool, FileError> {
+        // The damaged kind of another record.
+        let is_last = self.window.peek(length + 1)?.len() <= length;
+        if !is_last && self.window.begins(extent.end, is_data)? {
+            return self.resynchronise(WRONG_HEAD);
+        }
+        if extent.kind == kind::DATA_END && self.has_wrong_checksum() {
+            return Err(self.damaged("the checksum of the file is wrong"));
+        }
+        self.is_truncated |= !self.is_end_whole(extent)?;
+        let is_joined = self.skip_to_joined()?;
+        if is_joined {
+            self.has_chunks = None;
+        }
+        Ok(is_joined)
     }
 
     /// Returns where the record after this one begins, counted from here.
@@ -256,6 +272,7 @@ impl Sections {
 
     /// Reads the chunk here, whose record has `length` bytes if the file was not cut off.
     fn chunk(&mut self, length: usize) -> Result<Option<Section>, FileError> {
+        self.has_chunks = Some(true);
         let bytes = self.window.peek(length)?;
         self.used = length.min(bytes.len());
         let found = self.used;
@@ -309,7 +326,7 @@ impl Sections {
     }
 
     /// Skips to the next record, or to the end of the file.
-    fn resynchronise(&mut self, reason: &'static str) -> Result<Option<Section>, FileError> {
+    fn resynchronise<T>(&mut self, reason: &'static str) -> Result<T, FileError> {
         let error = self.damaged(reason);
         self.find_record()?;
         Err(error)
