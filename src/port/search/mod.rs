@@ -36,7 +36,11 @@ pub(super) trait Ports: Send + 'static {
     /// Lists the ports that the sensor can be on.
     fn candidates(&mut self) -> impl Future<Output = Result<Vec<String>, Error>> + Send;
 
+    /// Opens a port. Fails at once while an earlier call for it hangs, whose future was dropped.
     fn open(&mut self, path: &str) -> impl Future<Output = Result<Self::Port, Error>> + Send;
+
+    /// Returns true if such a call has ended since the last time.
+    fn one_hangs_no_longer(&mut self) -> bool;
 }
 
 /// Search through the candidates, which opens one port per call.
@@ -80,10 +84,13 @@ impl<P: Ports> Search<P> {
         self.pass = None;
     }
 
-    /// Returns when a port has appeared since the latest listing.
+    /// Returns when a port has appeared since the latest listing, or hangs no longer.
     pub(super) async fn port_appears(&mut self) {
         loop {
             sleep(LISTING_INTERVAL).await;
+            if self.ports.one_hangs_no_longer() {
+                return;
+            }
             // `next_port` reports what prevents listing.
             let Ok(listed) = self.ports.candidates().await else { continue };
             let before = replace(&mut self.listed, listed);
@@ -121,7 +128,12 @@ impl<P: Ports> Search<P> {
                             is_busy |= matches!(error.kind(), ErrorKind::Busy { .. });
                         }
                     }
-                    Err(_) => tracing::trace!(path, "port skipped, opening it takes too long"),
+                    Err(_) => {
+                        tracing::trace!(path, "port skipped, opening it takes too long");
+                        // Its device may return.
+                        pass.tried.pop();
+                        is_busy = true;
+                    }
                 }
             }
             let until = *pass.busy_until.get_or_insert_with(|| Instant::now() + BUSY_LIMIT);

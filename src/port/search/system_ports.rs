@@ -8,7 +8,7 @@ use crate::{Error, ErrorKind};
 /// Serial ports of this machine.
 #[derive(Debug, Default)]
 pub(in crate::port) struct SystemPorts {
-    /// Last opened port, and its opener.
+    /// Port that is being opened, and its opener.
     latest: Option<(String, SerialOpener)>,
     /// Earlier ports whose opening hangs in the system. Each port has its own opener, so that
     /// a hanging one blocks no other.
@@ -24,14 +24,22 @@ impl Ports for SystemPorts {
     }
 
     async fn open(&mut self, path: &str) -> Result<SerialPort, Error> {
-        self.hanging.extend(self.latest.take());
-        self.hanging.retain_mut(|(_, opener)| opener.is_opening());
+        self.one_hangs_no_longer();
         if self.hanging.iter().any(|(hanging, _)| hanging == path) {
             // One thread for it is enough.
             return Err(ErrorKind::Busy { port: path.to_owned() }.into());
         }
         let (_, opener) = self.latest.insert((path.to_owned(), SerialOpener::default()));
-        opener.open(path).await
+        let outcome = opener.open(path).await;
+        self.latest = None;
+        outcome
+    }
+
+    fn one_hangs_no_longer(&mut self) -> bool {
+        self.hanging.extend(self.latest.take());
+        let before = self.hanging.len();
+        self.hanging.retain_mut(|(_, opener)| opener.is_opening());
+        self.hanging.len() < before
     }
 }
 
@@ -57,8 +65,11 @@ mod tests {
             let error = open("/dev/lost").await;
             assert!(matches!(error.kind(), ErrorKind::NoSuchPort { .. }), "{error}");
         }
+        assert!(!ports.one_hangs_no_longer());
         drop(hang);
-        let error = open("/dev/gone").await;
+        assert!(ports.one_hangs_no_longer());
+        assert!(!ports.one_hangs_no_longer(), "told once");
+        let error = ports.open("/dev/gone").await.map(drop).unwrap_err();
         assert!(matches!(error.kind(), ErrorKind::NoSuchPort { .. }), "{error}");
     }
 }

@@ -45,6 +45,10 @@ impl Ports for Fake {
             _ => Err(ErrorKind::NoSuchPort { port }.into()),
         }
     }
+
+    fn one_hangs_no_longer(&mut self) -> bool {
+        false
+    }
 }
 
 /// Ports that several searches share. Each port is busy while a search holds it.
@@ -74,6 +78,10 @@ impl Ports for SharedPorts {
             true => Ok(Held(port, Arc::clone(&self.held))),
             false => Err(ErrorKind::Busy { port }.into()),
         }
+    }
+
+    fn one_hangs_no_longer(&mut self) -> bool {
+        false
     }
 }
 
@@ -210,6 +218,14 @@ async fn a_port_whose_opening_was_dropped_is_skipped() {
     assert!(search.next_port().now_or_never().is_none());
     assert_eq!(next(&mut search).await, "no H0713090");
     assert!(!search.ports.opened.split_off(1).contains(&"a".to_owned()));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_port_that_hangs_no_longer_is_opened() {
+    let mut search = search(&[("a", "ho")]);
+    let start = Instant::now();
+    assert_eq!(next(&mut search).await, "a");
+    assert_eq!(start.elapsed(), OPEN_LIMIT + LISTING_INTERVAL);
 }
 
 #[tokio::test(start_paused = true)]
