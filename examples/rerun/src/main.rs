@@ -54,7 +54,7 @@ async fn mount(number: usize, argument: String) -> Result<Mounted, Box<dyn Error
     Ok(Mounted {
         name: format!("vehicle/sensor_{number}"),
         color: COLORS[number % COLORS.len()].into(),
-        pose: Pose { x, y, heading: degrees.to_radians() },
+        pose: Pose { x, y, heading: degrees.to_radians(), ..Pose::default() },
         sensor,
     })
 }
