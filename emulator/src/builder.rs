@@ -112,7 +112,7 @@ impl EmulatorBuilder {
         self
     }
 
-    /// Adds a way in which some sensors depart from the text. Default: none.
+    /// Gives the sensor a [`Quirk`]. It has none by default, besides those of its model.
     pub fn quirk(mut self, quirk: Quirk) -> Self {
         self.session.quirks.push(quirk);
         self

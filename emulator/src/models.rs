@@ -29,12 +29,12 @@ pub(crate) struct Geometry {
     pub(crate) front: u16,
     /// Last step that can be asked for.
     pub(crate) end: u16,
-    /// Step at which a revolution ends, and its scan can be sent.
+    /// A revolution ends at this step. The sensor can then send its scan.
     pub(crate) turn: u16,
     /// Measurable distances in millimetres.
     pub(crate) nearest: u32,
     pub(crate) farthest: u32,
-    /// Distance from which enough light returns of most surfaces.
+    /// Most surfaces return enough light up to this distance.
     reach: u32,
     pub(crate) codes: &'static Codes,
 }

@@ -60,9 +60,10 @@ impl Scan {
     /// The revolution ended its [`lateness`](ScanTimes::lateness) before the reply arrived. Check
     /// the [`quality`](ScanTimes::quality) to see whether the lateness is known.
     ///
-    /// The first point is never before the last one of the scan before on the same link: after a late
-    /// scan this one is later, too. Only scans that come faster than the motor turns overlap, and
-    /// those of a recording, whose stamps rest on the recorded arrivals alone.
+    /// A scan never begins before the last point of the previous scan on the same link: after a late
+    /// scan, the next stamp is late, too. There are two exceptions. Scans overlap if they come faster
+    /// than the motor turns. In a recording they may overlap, because each stamp is computed from
+    /// that scan's arrival alone.
     ///
     /// # Accuracy
     ///

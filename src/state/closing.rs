@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-/// Announcement of the handles that wait. A token of tokio-util would stay cancelled when such a call
-/// is dropped, and then the driver goes on.
+/// Tells the driver that a handle waits for its end. If the caller drops that future, the driver
+/// continues, so a `CancellationToken` does not fit: it stays cancelled.
 #[derive(Debug, Default)]
 pub(crate) struct Closing(Arc<()>);
 

@@ -49,7 +49,7 @@ pub enum RepeatedLaser {
     Status2,
 }
 
-/// Ways in which firmwares differ.
+/// What depends on the firmware.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Dialect {
     pub(crate) firmware: Firmware,

@@ -23,7 +23,7 @@ pub(crate) struct Times {
     pub(crate) scan: u64,
 }
 
-/// Ways in which real sensors depart from the text, beyond those of their model.
+/// Behaviour of some real sensors that contradicts the protocol text. A model has its own besides.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Quirk {

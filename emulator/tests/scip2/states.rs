@@ -22,7 +22,8 @@ async fn clock(link: &mut Link, command: &str) -> u128 {
     number(&reply)
 }
 
-/// Asserts that the clock reads this number of milliseconds, give or take those of tokio's timers.
+/// Asserts that the sensor's clock is within 10 ms of `expected`: tokio's timers round to
+/// milliseconds.
 async fn check_clock(link: &mut Link, expected: u128) {
     let found = clock(link, "TM1").await;
     assert!(found.abs_diff(expected) < 10, "{found} {expected}");
@@ -185,7 +186,7 @@ async fn a_clock_may_be_told_on_ticks() {
         let asked = start.elapsed().as_millis();
         let told = clock(&mut link, "TM1").await;
         let answered = start.elapsed().as_millis();
-        // The time is that of the request, or of the millisecond after it.
+        // The clock is read when the request arrives, at most a millisecond after it was sent.
         assert!(told == asked || told == asked + 1, "{told} {asked}");
         assert!(answered >= told.next_multiple_of(5) && answered <= told / 5 * 5 + 7, "{answered}");
     }

@@ -23,7 +23,7 @@ use tokio_scip::scan::Pose;
 use tokio_scip::{ErrorChain, Rate, Scan, Sensor, Window};
 use urg_emulator::{Emulator, Room};
 
-/// Time by which the viewer orders the scans: when the first ray was measured.
+/// The viewer orders the scans by the time of their first ray.
 const TIMELINE: &str = "first_ray";
 /// Colours of the sensors, in turn.
 const COLORS: [(u8, u8, u8); 4] = [(80, 200, 120), (90, 160, 255), (255, 170, 60), (230, 110, 220)];

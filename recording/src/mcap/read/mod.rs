@@ -191,8 +191,8 @@ impl Sections {
         Ok(Some(Section::Record { kind: extent.kind, content }))
     }
 
-    /// Reads the record here, which ends the data of a file. Returns true if another file is joined
-    /// to it, and goes on there.
+    /// Reads the record here, which ends the data of a file. If another file follows, skips to it and
+    /// returns true.
     fn end(&mut self, extent: &Extent, length: usize) -> Result<bool, FileError> {
         // The damaged kind of another record.
         let is_last = self.window.peek(length + 1)?.len() <= length;
