@@ -226,6 +226,16 @@ fn a_file_without_its_last_byte_is_truncated() {
 }
 
 #[test]
+fn a_footer_alone_ends_a_file() {
+    let whole = [MAGIC, &chunk_of(&[channel(), event(0)].concat()), &end()].concat();
+    let mut damaged = whole.clone();
+    // The kind of the record that ends the data: of a later version now.
+    damaged[whole.len() - end().len()] = 0x10;
+    assert_eq!(read(&damaged), (vec![], 1, false));
+    assert_eq!(read(&[damaged, whole].concat()), (vec![], 2, true));
+}
+
+#[test]
 fn metadata_is_read_at_the_files_end() {
     let file = [MAGIC, &metadata()].concat();
     let recording = Recording::read(Cursor::new(file)).unwrap();

@@ -132,13 +132,13 @@ impl Sections {
                 // Without its lengths.
                 _ if extent.fields == u64::MAX => return Ok(self.end_early()),
                 kind::CHUNK => return self.chunk(length),
-                kind::HEADER..=kind::MESSAGE | kind::METADATA => {
-                    return self.record(&extent, length);
-                }
                 kind::DATA_END | kind::FOOTER => {
                     if !self.end(&extent, length)? {
                         return Ok(None);
                     }
+                }
+                kind::HEADER..=kind::MESSAGE | kind::METADATA => {
+                    return self.record(&extent, length);
                 }
                 _ => {
                     if !self.window.skip_with(extent.end, |_| {})? {
