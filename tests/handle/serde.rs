@@ -3,7 +3,6 @@
 use std::time::{Duration, UNIX_EPOCH};
 
 use serde_json::{Value, json};
-use tokio_scip::port::UsbId;
 use tokio_scip::{Endpoint, Error, Measurement, Rate, Scan, Sensor, State, Window};
 use urg_emulator::{Emulator, Values, WorldTime};
 
@@ -113,7 +112,13 @@ fn a_serialized_error_has_all_its_causes() {
     let data = serde_json::to_value(State::Closed { error: Some(error) }).unwrap();
     let text = data["error"].as_str().unwrap();
     assert!(text.ends_with(": no such device"), "{text}");
-    assert_eq!(serde_json::to_value(UsbId { vendor: 0x15d1, product: 0 }).unwrap(), "15d1:0000");
+}
+
+#[cfg(feature = "serial")]
+#[test]
+fn a_usb_id_is_serialized_as_its_text() {
+    let id = tokio_scip::port::UsbId { vendor: 0x15d1, product: 0 };
+    assert_eq!(serde_json::to_value(id).unwrap(), "15d1:0000");
 }
 
 #[tokio::test(start_paused = true)]
