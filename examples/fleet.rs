@@ -14,11 +14,51 @@ use std::future::ready;
 use std::time::Duration;
 
 use futures::StreamExt;
-use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep};
-use tokio_scip::{ErrorChain, Rate, ScanStream, Sensor, Window};
+use tokio_scip::{Error, ErrorChain, Rate, ScanStream, Sensor, Window};
 
 const LIMIT: Duration = Duration::from_millis(500);
+
+/// Sensors with their names.
+pub(crate) type Fleet = Vec<(String, Sensor)>;
+
+/// Opens the sensors, and starts a task for each.
+pub(crate) async fn open(ports: Vec<String>) -> Result<Fleet, Error> {
+    let mut fleet = Fleet::new();
+    for (number, port) in ports.iter().enumerate() {
+        let name = format!("{number} {port}");
+        let sensor = port::open(Sensor::builder().name(&name).wait_for_sensor(true), port).await?;
+        let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
+        tokio::spawn(consume(name.clone(), scans));
+        fleet.push((name, sensor));
+    }
+    Ok(fleet)
+}
+
+/// Returns the lines about the next second.
+pub(crate) async fn report(fleet: &Fleet) -> Vec<String> {
+    let scans = || fleet.iter().map(|(_, sensor)| sensor.stats().scans).sum::<u64>();
+    let (since, before) = (Instant::now(), scans());
+    sleep(Duration::from_secs(1)).await;
+    let rate = (scans() - before) as f64 / since.elapsed().as_secs_f64();
+    let mut lines = vec![format!("{} sensors, {rate:.0} scans/s", fleet.len())];
+    for (name, sensor) in fleet {
+        if let Err(stale) = sensor.freshness().check(LIMIT) {
+            lines.push(format!("{name}: {}", ErrorChain(&stale)));
+        }
+    }
+    lines
+}
+
+/// Handles each scan, as your service would. Errors are in the freshness.
+async fn consume(name: String, scans: ScanStream) {
+    let mut scans = scans.filter_map(|item| ready(item.ok()));
+    while let Some(scan) = scans.next().await {
+        if scan.points().all(|point| point.range > 1.0) && scan.sequence() % 100 == 0 {
+            println!("{name}: nothing within a metre");
+        }
+    }
+}
 
 #[tokio::main(flavor = "current_thread")]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -31,35 +71,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     if ports.is_empty() {
         return Err("expected ports, or: emulated 100".into());
     }
-    let mut tasks = JoinSet::new();
-    let mut fleet = Vec::new();
-    for (number, port) in ports.iter().enumerate() {
-        let name = format!("{number} {port}");
-        let sensor = port::open(Sensor::builder().name(&name).wait_for_sensor(true), port).await?;
-        let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
-        tasks.spawn(consume(name.clone(), scans));
-        fleet.push((name, sensor));
-    }
-    let scans = || fleet.iter().map(|(_, sensor)| sensor.stats().scans).sum::<u64>();
+    let fleet = open(ports).await?;
     loop {
-        let (since, before) = (Instant::now(), scans());
-        sleep(Duration::from_secs(1)).await;
-        let rate = (scans() - before) as f64 / since.elapsed().as_secs_f64();
-        println!("{} sensors, {rate:.0} scans/s", fleet.len());
-        for (name, sensor) in &fleet {
-            if let Err(stale) = sensor.freshness().check(LIMIT) {
-                println!("{name}: {}", ErrorChain(&stale));
-            }
-        }
-    }
-}
-
-/// Handles each scan, as your service would. Errors are in the freshness.
-async fn consume(name: String, scans: ScanStream) {
-    let mut scans = scans.filter_map(|item| ready(item.ok()));
-    while let Some(scan) = scans.next().await {
-        if scan.points().all(|point| point.range > 1.0) && scan.sequence() % 100 == 0 {
-            println!("{name}: nothing within a metre");
-        }
+        report(&fleet).await.iter().for_each(|line| println!("{line}"));
     }
 }

@@ -5,6 +5,8 @@
 
 #[path = "../../examples/count_people.rs"]
 pub(super) mod count_people;
+#[path = "../../examples/fleet.rs"]
+pub(super) mod fleet;
 #[path = "../../examples/graceful_shutdown.rs"]
 pub(super) mod graceful_shutdown;
 #[path = "../../examples/merged.rs"]

@@ -19,7 +19,7 @@ use super::programs::merged::{self, Mounted};
 #[cfg(unix)]
 use super::programs::own_transport;
 use super::programs::safety_stop::{self, Fields, Motion, TERMS, Terms};
-use super::programs::{count_people, graceful_shutdown, odometry};
+use super::programs::{count_people, fleet, graceful_shutdown, odometry};
 
 /// A room in which an obstacle appears: the smallest that must be seen, at the limit of the
 /// clearance, 20 degrees to the left.
@@ -387,4 +387,14 @@ async fn a_program_that_ends_is_started_again() {
     hang_up.send(()).unwrap();
     state.wait_for(|state| !matches!(state, State::Connected { .. })).await.unwrap();
     state.wait_for(|state| matches!(state, State::Connected { .. })).await.unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_fleet_of_a_hundred_sensors_keeps_its_rate() {
+    limit();
+    let fleet = fleet::open(vec!["emulated".to_owned(); 100]).await.unwrap();
+    fleet::report(&fleet).await; // the sensors start
+    for _ in 0..5 {
+        assert_eq!(fleet::report(&fleet).await, ["100 sensors, 1000 scans/s"]);
+    }
 }

@@ -115,11 +115,9 @@ fn rate(line: &str) -> u64 {
 }
 
 #[test]
-fn a_fleet_of_a_hundred_sensors_keeps_its_rate() {
-    let mut example = Example::run("fleet", &["emulated", "100"]);
-    let lines = std::iter::repeat_with(|| example.line_with("100 sensors, "));
-    // The rate is 1,000, or less if the machine is busy.
-    assert!({ lines }.any(|line| rate(&line) > 500));
+fn a_fleet_of_a_hundred_sensors_is_reported() {
+    // Computing 100 rooms takes most of a core, so `promises` checks the rate on the paused clock.
+    Example::run("fleet", &["emulated", "100"]).line_with("100 sensors, ");
 }
 
 #[test]
