@@ -5,4 +5,6 @@ mod example;
 mod programs;
 mod promises;
 mod run;
+mod tuio;
+mod wall;
 mod zones;

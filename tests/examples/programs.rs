@@ -9,6 +9,8 @@ pub(super) mod count_people;
 pub(super) mod fleet;
 #[path = "../../examples/graceful_shutdown.rs"]
 pub(super) mod graceful_shutdown;
+#[path = "../../examples/interactive_wall/main.rs"]
+pub(super) mod interactive_wall;
 #[path = "../../examples/merged.rs"]
 pub(super) mod merged;
 #[path = "../../examples/odometry.rs"]

@@ -4,6 +4,7 @@
 use std::process::Command;
 
 use super::example::{Example, address, get, get_until};
+use super::tuio::Frame;
 
 #[test]
 fn the_first_program_prints_a_line_for_each_scan() {
@@ -144,4 +145,25 @@ fn the_nearest_object_is_sent_as_osc() {
     let mut packet = [0; 64];
     assert_eq!(receiver.recv(&mut packet).unwrap(), 28);
     assert!(packet.starts_with(b"/urg/nearest\0\0\0\0,ff\0"));
+}
+
+#[test]
+fn touched_corners_and_hands_are_sent_as_tuio() {
+    let receiver = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    let target = receiver.local_addr().unwrap().to_string();
+    let mut example = Example::run("interactive_wall", &["emulated", &target]);
+    for corner in ["top left", "top right", "bottom right", "bottom left"] {
+        example.line_with(&format!("touch the {corner} corner"));
+    }
+    example.line_with(&format!("to {target}"));
+    let mut packet = [0; 2048];
+    let frames = std::iter::repeat_with(|| {
+        let received = receiver.recv(&mut packet).unwrap();
+        Frame::decode(&packet[..received], "interactive_wall@127.0.0.1")
+    });
+    let frame = { frames }.find(|frame| frame.cursors.len() == 2).unwrap();
+    // Each hand stays at its height.
+    let mut heights: Vec<f64> = frame.cursors.values().map(|cursor| cursor.place.1).collect();
+    heights.sort_by(f64::total_cmp);
+    assert!((heights[0] - 0.25).abs() < 0.02 && (heights[1] - 0.7).abs() < 0.02, "{heights:?}");
 }
