@@ -33,6 +33,18 @@ def npm(*packages):
     return folder
 
 
+def cargo(program, *packages):
+    """Builds a program with crates such as `mcap = "=0.26.0"`. Returns the command to run it."""
+    folder = PLACE / "cargo"
+    (folder / "src").mkdir(parents=True)
+    manifest = ["[package]", 'name = "program"', 'edition = "2021"', "[dependencies]", *packages]
+    (folder / "Cargo.toml").write_text("\n".join(manifest))
+    (folder / "src/main.rs").write_text(program)
+    command = ["cargo", "build", "--quiet", "--target-dir", folder / "target"]
+    subprocess.run(command, cwd=folder, check=True)
+    return folder / "target/debug/program"
+
+
 def debian(*packages):
     """Unpacks packages such as `socat=1.7.4.4-2`. Returns their root, which programs find."""
     root = PLACE / "debian"
