@@ -10,7 +10,7 @@ use tokio::time::Instant;
 use super::Result;
 use super::picture::{Spot, distance};
 
-/// A hand moves at most this far from one scan to the next, in metres.
+/// A hand is at most this far from where its motion leads, in metres.
 const REACH: f64 = 0.35;
 /// A hand that was not seen for longer is gone: one scan may miss it.
 const LOST: Duration = Duration::from_millis(250);
@@ -20,6 +20,8 @@ struct Cursor {
     seen: Instant,
     /// In metres.
     at: Spot,
+    /// In metres per second.
+    motion: Spot,
     place: Spot,
     /// In widths and heights of the picture per second.
     velocity: Spot,
@@ -28,12 +30,21 @@ struct Cursor {
 }
 
 impl Cursor {
+    /// Where it is if its motion has not changed: without that, a hand would take the id of one
+    /// right ahead.
+    fn expected(&self, now: Instant) -> Spot {
+        let seconds = (now - self.seen).as_secs_f64();
+        (self.at.0 + seconds * self.motion.0, self.at.1 + seconds * self.motion.1)
+    }
+
     fn move_to(&mut self, (at, place): (Spot, Spot), now: Instant) {
         let seconds = (now - self.seen).as_secs_f64().max(0.001);
-        let velocity = ((place.0 - self.place.0) / seconds, (place.1 - self.place.1) / seconds);
+        let rate = |to: Spot, from: Spot| ((to.0 - from.0) / seconds, (to.1 - from.1) / seconds);
+        let velocity = rate(place, self.place);
         let speed = |velocity| distance(velocity, (0.0, 0.0));
         self.acceleration = (speed(velocity) - speed(self.velocity)) / seconds;
-        (self.at, self.place, self.velocity, self.seen) = (at, place, velocity, now);
+        (self.motion, self.velocity) = (rate(at, self.at), velocity);
+        (self.at, self.place, self.seen) = (at, place, now);
     }
 
     fn message(&self) -> OscPacket {
@@ -59,7 +70,7 @@ impl Cursors {
         loop {
             let ways = cursors.iter().enumerate().flat_map(|(cursor, from)| {
                 let hands = hands.iter().enumerate();
-                hands.map(move |(hand, to)| (distance(from.at, to.0), cursor, hand))
+                hands.map(move |(hand, to)| (distance(from.expected(now), to.0), cursor, hand))
             });
             let closest = ways.min_by(|a, b| a.0.total_cmp(&b.0));
             let Some((_, cursor, hand)) = closest.filter(|&(way, ..)| way < REACH) else { break };
@@ -68,8 +79,8 @@ impl Cursors {
         self.cursors.retain(|cursor| now - cursor.seen < LOST);
         for (at, place) in hands {
             self.last_id = self.last_id.wrapping_add(1);
-            let (id, velocity, acceleration) = (self.last_id, (0.0, 0.0), 0.0);
-            self.cursors.push(Cursor { id, seen: now, at, place, velocity, acceleration });
+            let (id, motion, velocity, acceleration) = (self.last_id, (0.0, 0.0), (0.0, 0.0), 0.0);
+            self.cursors.push(Cursor { id, seen: now, at, motion, place, velocity, acceleration });
         }
     }
 

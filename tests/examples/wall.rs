@@ -111,6 +111,9 @@ async fn hands_are_cursors_where_they_are() {
             ((0.3, 0.1), (0.7, 0.9), 20_000, 1.5),
             ((0.2, 0.4), (0.8, 0.4), 22_000, 0.6),
             ((0.2, 0.6), (0.8, 0.6), 22_000, 0.6),
+            // One right after the other: nearer to where that was than to where it was.
+            ((0.5, 0.1), (0.5, 0.9), 26_000, 1.5),
+            ((0.5, 0.1), (0.5, 0.9), 26_190, 1.5),
         ];
         let walks = ways.map(|(from, to, start, speed)| walk(from, to, start, speed));
         let outside = walk((0.2, -0.2), (0.8, -0.2), 17_000, 0.4);
@@ -120,7 +123,7 @@ async fn hands_are_cursors_where_they_are() {
         let mut last = wall.next_with(0).await;
         let (mut ids, mut worst) = (BTreeMap::new(), 0f64);
         let mut seen = walks.map(|_| Vec::new());
-        while !wall.measured.lock().unwrap().is_some_and(|time| time.at > ms(26_000)) {
+        while !wall.measured.lock().unwrap().is_some_and(|time| time.at > ms(28_000)) {
             let next = wall.next().await;
             assert_eq!(next.number, last.number + 1);
             for (id, cursor) in &next.cursors {
