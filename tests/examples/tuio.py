@@ -17,6 +17,8 @@ from pythontuio import TuioClient, TuioListener
 
 # Scans in which both hands must have been seen.
 SCANS = 30
+# The corners of the picture on the emulated wall, as the program prints them when they are touched.
+CORNERS = ["0.381,0.574", "2.367,0.593", "2.367,-0.593", "0.382,-0.574"]
 # In the emulated wall: the heights at which the hands move, and their speed in widths a second.
 HEIGHTS = [0.25, 0.7]
 SPEED = 0.25
@@ -41,7 +43,7 @@ with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
     address = probe.getsockname()
 client, listener = TuioClient(address), Listener()
 client.add_listener(listener)
-program = subprocess.Popen([sys.argv[1], "emulated", f"{address[0]}:{address[1]}"])
+program = subprocess.Popen([sys.argv[1], "emulated", f"{address[0]}:{address[1]}", *CORNERS])
 try:
     # The client prints a line for each bundle.
     with contextlib.redirect_stdout(io.StringIO()):
@@ -60,7 +62,7 @@ finally:
     program.kill()
     program.wait()
 
-# The hand that has touched the last corner may have left since.
+# The hands that have touched the corners are gone.
 moving = sorted((hand for hand in hands.values() if len(hand) >= SCANS), key=lambda hand: hand[0][1])
 assert len(moving) == len(hands) - len(removed), f"{len(hands)} cursors, {removed} left"
 for hand, height in zip(moving, HEIGHTS, strict=True):
