@@ -10,8 +10,8 @@ use std::time::Duration;
 use super::RecordingError;
 use super::latched::{Latched, LatchedMessage, LatchedTopic};
 use super::mcap::{
-    DefinitionWriter, Definitions, FileError, Input, McapWriter, MessageHeader, Records, header,
-    kind, parse_metadata,
+    DefinitionWriter, Definitions, Input, McapWriter, MessageHeader, Records, header, kind,
+    parse_metadata,
 };
 use super::messages::{Messages, lost_schema, time};
 use super::polls::StreamPolls;
@@ -200,11 +200,11 @@ impl Source {
                     self.is_over = true;
                     return Ok(());
                 }
-                Err(FileError::Damaged { offset, .. }) => {
+                Err(RecordingError::Damaged { offset, .. }) => {
                     outcome.add_damage(Some(offset));
                     continue;
                 }
-                Err(error) => return Err(error.into()),
+                Err(error) => return Err(error),
             };
             match kind {
                 kind::HEADER => drop(self.header.get_or_insert_with(|| content.to_vec())),

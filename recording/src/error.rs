@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::left_out::{LeftOut, listed};
-use super::mcap::FileError;
 use super::output::FileGone;
 
 /// Error of recording, reading or replaying. As for all errors of this crate, `Display`
@@ -121,6 +120,10 @@ pub enum RecordingError {
 }
 
 impl RecordingError {
+    pub(super) fn read(error: io::Error) -> Self {
+        Self::Read { source: Arc::new(error) }
+    }
+
     pub(super) fn write(error: io::Error) -> Self {
         match FileGone::reason(&error) {
             Some(reason) => Self::Gone { reason },
@@ -156,17 +159,6 @@ fn remedy(compression: &str) -> &'static str {
         }
         _ => {
             "expected `zstd`, `lz4` or no compression; copy the file with the program that wrote it, without compression"
-        }
-    }
-}
-
-impl From<FileError> for RecordingError {
-    fn from(error: FileError) -> Self {
-        match error {
-            FileError::Io(error) => Self::Read { source: Arc::new(error) },
-            FileError::NotMcap => Self::NotMcap,
-            FileError::Compressed(compression) => Self::Compressed { compression },
-            FileError::Damaged { offset, reason } => Self::Damaged { offset, reason },
         }
     }
 }

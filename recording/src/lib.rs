@@ -81,6 +81,7 @@
 //!
 //! A replay reads the recording on demand, in small pieces, on the runtime's thread.
 
+mod builder;
 mod copy;
 mod error;
 mod event;
@@ -110,6 +111,7 @@ mod sync;
 mod topics;
 mod writer;
 
+pub use self::builder::RecorderBuilder;
 pub use self::copy::{Copied, cut, repair};
 pub use self::error::RecordingError;
 pub use self::event::{Event, Events};
@@ -119,7 +121,7 @@ pub use self::left_out::{LeftOut, LeftOutCounter, LeftOutReason};
 pub use self::progress::Progress;
 pub use self::reader::Recording;
 pub use self::record::{Entry, Record, RecordedReply};
-pub use self::recorder::{Recorder, RecorderBuilder};
+pub use self::recorder::Recorder;
 #[doc(no_inline)]
 pub use self::ros::LaserScan;
 pub use self::scans::RecordedScans;

@@ -159,16 +159,11 @@ impl fmt::Display for Details {
 /// Encodes the type of a channel whose schema was lost, as after its number. `content` is that of
 /// the channel after its number. Returns `None` for a channel that recordings do not have.
 pub(super) fn lost_schema(channel: u16, content: &[u8]) -> Option<Vec<u8>> {
-    let known = own_topic(channel, content)?.message_type();
-    Some(mcap::schema(known.name(), known.definition()))
-}
-
-/// Topic of a channel as recordings of this crate have it. `content` follows its number.
-fn own_topic(channel: u16, content: &[u8]) -> Option<Topic> {
     let own = |topic: &Topic| {
         topic.channel() == channel && mcap::channel(topic.schema(), topic.name()) == content
     };
-    Topic::ALL.into_iter().find(own)
+    let known = Topic::ALL.into_iter().find(own)?.message_type();
+    Some(mcap::schema(known.name(), known.definition()))
 }
 
 fn parse_entry(topic: Topic, stamp: SystemTime, data: &[u8]) -> Result<Entry, CdrError> {

@@ -255,7 +255,7 @@ impl Recording {
                 let opened = self.open_next().inspect_err(|_| self.further.clear());
                 return opened.map(|is_opened| is_opened.then_some(None)).transpose();
             }
-            Err(error) => return Some(Err(error.into())),
+            Err(error) => return Some(Err(error)),
         };
         self.read_bytes = self.read_bytes.saturating_add(content.len());
         Some(Ok(match kind {
@@ -306,7 +306,7 @@ impl Recording {
                 let left_out = self.records.leave_out_others(&times);
                 self.times = Some(times);
                 if let Err(error) = left_out {
-                    return Some(Err(error.into()));
+                    return Some(Err(error));
                 }
             }
             if is_inside {

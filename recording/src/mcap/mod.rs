@@ -5,7 +5,6 @@
 //! the crate `mcap`, with which the tests read what is written here.
 
 mod definitions;
-mod error;
 mod form;
 mod index;
 mod input;
@@ -17,7 +16,6 @@ mod write;
 use std::time::Duration;
 
 pub(super) use self::definitions::{Channel, DefinitionWriter, Definitions};
-pub(super) use self::error::FileError;
 pub(super) use self::form::parse_metadata;
 pub(super) use self::input::Input;
 pub(super) use self::records::Records;

@@ -3,11 +3,11 @@
 use std::collections::HashSet;
 use std::ops::{Range, RangeInclusive};
 
-use super::error::FileError;
 use super::form::{After, Unmeasured, begins, is_known, is_well_formed, measure, next_start};
 use super::input::FileIndex;
 use super::read::{Section, Sections};
 use super::{Fields, Input, RECORD_HEAD, kind};
+use crate::RecordingError;
 
 /// Reads the well-formed records of a file, including those in chunks.
 #[derive(Default)]
@@ -41,7 +41,7 @@ impl Records {
     pub(in super::super) fn leave_out_others(
         &mut self,
         times: &RangeInclusive<u64>,
-    ) -> Result<(), FileError> {
+    ) -> Result<(), RecordingError> {
         self.index = Some(self.sections.leave_out_others(times)?);
         Ok(())
     }
@@ -60,8 +60,8 @@ impl Records {
     /// Reads the kind and content of the next record, or returns `None` at the end of the
     /// data. A message is of a channel before it. After the first damage, which may have hit
     /// definitions, the definitions in the file's index follow. After an error other than
-    /// [`FileError::Damaged`], no records follow.
-    pub(in super::super) fn next(&mut self) -> Result<Option<(u8, &[u8])>, FileError> {
+    /// [`RecordingError::Damaged`], no records follow.
+    pub(in super::super) fn next(&mut self) -> Result<Option<(u8, &[u8])>, RecordingError> {
         if let Some((kind, place)) = self.index.as_mut().and_then(FileIndex::next_definition) {
             let content = self.index.as_ref().map(|index| index.bytes(place)).unwrap_or_default();
             if kind == kind::CHANNEL {
@@ -74,9 +74,9 @@ impl Records {
                 Ok(place) => {
                     return Ok(place.map(|(kind, content)| (kind, self.sections.bytes(content))));
                 }
-                Err(FileError::Damaged { offset, .. }) if !self.is_news(offset) => {}
+                Err(RecordingError::Damaged { offset, .. }) if !self.is_news(offset) => {}
                 Err(error) => {
-                    if matches!(error, FileError::Damaged { .. }) && self.index.is_none() {
+                    if matches!(error, RecordingError::Damaged { .. }) && self.index.is_none() {
                         self.index = Some(self.sections.index()?);
                     }
                     return Err(error);
@@ -86,7 +86,7 @@ impl Records {
     }
 
     /// Finds the next record among the bytes of the section.
-    fn next_place(&mut self) -> Result<Option<(u8, Range<usize>)>, FileError> {
+    fn next_place(&mut self) -> Result<Option<(u8, Range<usize>)>, RecordingError> {
         loop {
             if self.rest.is_empty() {
                 match self.sections.next()? {
@@ -134,7 +134,7 @@ impl Records {
     }
 
     /// Checks what no checksum covers.
-    fn check(&mut self, kind: u8, content: &Range<usize>) -> Result<(), FileError> {
+    fn check(&mut self, kind: u8, content: &Range<usize>) -> Result<(), RecordingError> {
         let content = self.sections.bytes(content.clone());
         if !is_well_formed(kind, content) {
             return Err(self.sections.damaged("a record is malformed"));

@@ -5,9 +5,9 @@ use std::ops::Range;
 
 use crc32fast::Hasher;
 
-use super::error::FileError;
 use super::form::{After, Extent, Kinds, Unmeasured, begins, is_shown, measure};
 use super::input::Input;
+use crate::RecordingError;
 
 /// Number of bytes to read at once.
 pub(super) const READ_BYTES: usize = 64 << 10;
@@ -34,13 +34,13 @@ impl Window {
     }
 
     /// Reads ahead: at least `count` bytes, unless the file has fewer.
-    pub(super) fn peek(&mut self, count: usize) -> Result<&[u8], FileError> {
+    pub(super) fn peek(&mut self, count: usize) -> Result<&[u8], RecordingError> {
         if self.bytes.len().saturating_sub(self.start) < count {
             self.bytes.drain(..self.start);
             self.start = 0;
             // Grows with the existing bytes, not with the claimed ones. Takes what a pipe has, and
             // does not wait for more.
-            while self.bytes.len() < count && self.read_more().map_err(FileError::Io)? {}
+            while self.bytes.len() < count && self.read_more().map_err(RecordingError::read)? {}
         }
         Ok(self.bytes.get(self.start..).unwrap_or_default())
     }
@@ -77,7 +77,7 @@ impl Window {
         &mut self,
         length: u64,
         mut see: impl FnMut(&[u8]),
-    ) -> Result<bool, FileError> {
+    ) -> Result<bool, RecordingError> {
         let mut rest = length;
         while rest > 0 {
             let next = rest.min(READ_BYTES as u64) as usize;
@@ -90,8 +90,8 @@ impl Window {
     }
 
     /// Continues at this position of the file.
-    pub(super) fn continue_at(&mut self, place: u64) -> Result<(), FileError> {
-        self.input.continue_at(place).map_err(FileError::Io)?;
+    pub(super) fn continue_at(&mut self, place: u64) -> Result<(), RecordingError> {
+        self.input.continue_at(place).map_err(RecordingError::read)?;
         self.bytes.clear();
         (self.start, self.offset, self.checksum) = (0, place, None);
         Ok(())
@@ -99,7 +99,7 @@ impl Window {
 
     /// Measures the record here, or returns `None` if no record begins here. A record whose lengths
     /// the file does not have to its end reaches beyond it.
-    pub(super) fn measure(&mut self) -> Result<Option<Extent>, FileError> {
+    pub(super) fn measure(&mut self) -> Result<Option<Extent>, RecordingError> {
         let mut wanted = 1;
         loop {
             let bytes = self.peek(wanted)?;
@@ -118,12 +118,12 @@ impl Window {
     }
 
     /// Returns true if a record of these kinds begins `at` bytes from here.
-    pub(super) fn begins(&mut self, at: u64, kinds: Kinds) -> Result<bool, FileError> {
+    pub(super) fn begins(&mut self, at: u64, kinds: Kinds) -> Result<bool, RecordingError> {
         self.decide(|bytes, after| begins(bytes, after, at, kinds))
     }
 
     /// The same if the record shows it, whatever follows.
-    pub(super) fn is_shown(&mut self, at: u64, kinds: Kinds) -> Result<bool, FileError> {
+    pub(super) fn is_shown(&mut self, at: u64, kinds: Kinds) -> Result<bool, RecordingError> {
         self.decide(|bytes, after| is_shown(bytes, after, at, kinds))
     }
 
@@ -131,7 +131,7 @@ impl Window {
     fn decide(
         &mut self,
         decision: impl Fn(&[u8], After) -> Result<bool, usize>,
-    ) -> Result<bool, FileError> {
+    ) -> Result<bool, RecordingError> {
         let mut wanted = 1;
         loop {
             let bytes = self.peek(wanted)?;
@@ -144,7 +144,7 @@ impl Window {
 
     /// Skips to the next record of these kinds, or to the end of the file. Returns true if there is
     /// one before `limit`, a position in the file.
-    pub(super) fn skip_to(&mut self, kinds: Kinds, limit: u64) -> Result<bool, FileError> {
+    pub(super) fn skip_to(&mut self, kinds: Kinds, limit: u64) -> Result<bool, RecordingError> {
         // Nothing begins at the first byte.
         let mut at = 1;
         while self.offset < limit {

@@ -1,7 +1,7 @@
 //! Checks a file's end: its summary, and the footer that has the position of the summary.
 
 use super::Sections;
-use crate::mcap::error::FileError;
+use crate::RecordingError;
 use crate::mcap::form::{Extent, record_head};
 use crate::mcap::{FILE_END, FOOTER_BYTES, Fields, MAGIC, RECORD_HEAD, kind};
 
@@ -9,7 +9,7 @@ impl Sections {
     /// Reads the end of the file, starting at the record that ends its data. Returns true if other
     /// readers can find the messages with it: the summary is where the footer says, its
     /// checksum is right if it has one, and nothing follows.
-    pub(super) fn is_end_whole(&mut self, data_end: &Extent) -> Result<bool, FileError> {
+    pub(super) fn is_end_whole(&mut self, data_end: &Extent) -> Result<bool, RecordingError> {
         let window = &mut self.window;
         if data_end.kind == kind::DATA_END && !window.skip_with(data_end.end, |_| {})? {
             return Ok(false);
@@ -46,7 +46,7 @@ impl Sections {
 
     /// Skips the footer here and the magic bytes after it if another file begins there, as
     /// after `cat a.mcap b.mcap`. Such a file has no complete end: no index covers both.
-    pub(super) fn skip_to_joined(&mut self) -> Result<bool, FileError> {
+    pub(super) fn skip_to_joined(&mut self) -> Result<bool, RecordingError> {
         const JOINED: usize = FILE_END + MAGIC.len();
         let bytes = self.window.peek(JOINED)?.get(..JOINED).unwrap_or_default();
         let is_footer = record_head(bytes) == Some((kind::FOOTER, FOOTER_BYTES as u64));

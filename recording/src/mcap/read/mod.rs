@@ -12,7 +12,6 @@ use std::collections::VecDeque;
 use std::ops::{Range, RangeInclusive};
 
 use self::decompress::{Failure, decompress};
-use super::error::FileError;
 use super::form::{
     ChunkHead, Extent, Kinds, chunk_head, is_known, is_message_index, is_well_formed, next_start,
     outside_chunks,
@@ -20,6 +19,7 @@ use super::form::{
 use super::input::FileIndex;
 use super::window::Window;
 use super::{Fields, Input, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
+use crate::RecordingError;
 
 /// Reason for damage.
 const WRONG_HEAD: &str = "a record's kind or length is wrong";
@@ -84,33 +84,33 @@ impl Sections {
     pub(super) fn leave_out_others(
         &mut self,
         times: &RangeInclusive<u64>,
-    ) -> Result<FileIndex, FileError> {
+    ) -> Result<FileIndex, RecordingError> {
         let index = self.index()?;
         self.unwanted = index.parts_outside(times).into();
         Ok(index)
     }
 
     /// Reads the index at the end of the file, which is empty if the file has none.
-    pub(super) fn index(&mut self) -> Result<FileIndex, FileError> {
+    pub(super) fn index(&mut self) -> Result<FileIndex, RecordingError> {
         self.window.input.index().map_err(|error| {
             self.is_over = true;
-            FileError::Io(error)
+            RecordingError::read(error)
         })
     }
 
     /// Reads the next section, or returns `None` at the end of the data. After an error
-    /// other than [`FileError::Damaged`], no sections follow.
-    pub(super) fn next(&mut self) -> Result<Option<Section>, FileError> {
+    /// other than [`RecordingError::Damaged`], no sections follow.
+    pub(super) fn next(&mut self) -> Result<Option<Section>, RecordingError> {
         if self.is_over {
             return Ok(None);
         }
         self.decompressed.clear();
         let section = self.section();
-        self.is_over = !matches!(section, Ok(Some(_)) | Err(FileError::Damaged { .. }));
+        self.is_over = !matches!(section, Ok(Some(_)) | Err(RecordingError::Damaged { .. }));
         section
     }
 
-    fn section(&mut self) -> Result<Option<Section>, FileError> {
+    fn section(&mut self) -> Result<Option<Section>, RecordingError> {
         if !self.is_started {
             self.is_started = true;
             let magic = self.window.peek(MAGIC.len())?;
@@ -150,7 +150,7 @@ impl Sections {
     }
 
     /// Measures the record here. Fails if its head is wrong.
-    fn extent(&mut self) -> Result<Extent, FileError> {
+    fn extent(&mut self) -> Result<Extent, RecordingError> {
         let Some(extent) = self.window.measure()? else {
             return self.resynchronise(WRONG_HEAD);
         };
@@ -167,7 +167,11 @@ impl Sections {
     }
 
     /// Reads the record here, which has `length` bytes if the file was not cut off.
-    fn record(&mut self, extent: &Extent, length: usize) -> Result<Option<Section>, FileError> {
+    fn record(
+        &mut self,
+        extent: &Extent,
+        length: usize,
+    ) -> Result<Option<Section>, RecordingError> {
         if self.window.peek(length)?.len() < length {
             return Ok(self.end_early());
         }
@@ -193,7 +197,7 @@ impl Sections {
 
     /// Reads the record here, which ends the data of a file. If another file follows, skips to it and
     /// returns true.
-    fn end(&mut self, extent: &Extent, length: usize) -> Result<bool, FileError> {
+    fn end(&mut self, extent: &Extent, length: usize) -> Result<bool, RecordingError> {
         // The damaged kind of another record.
         let is_last = self.window.peek(length + 1)?.len() <= length;
         if !is_last && self.window.begins(extent.end, is_data)? {
@@ -211,7 +215,7 @@ impl Sections {
     }
 
     /// Returns where the record after this one begins, counted from here.
-    fn next_start(&mut self, extent: &Extent) -> Result<u64, FileError> {
+    fn next_start(&mut self, extent: &Extent) -> Result<u64, RecordingError> {
         let known = match extent.is_proved() {
             true => 0,
             false => self.window.peek(extent.end.min(MAX_CHUNK_BYTES) as usize)?.len() as u64,
@@ -236,7 +240,7 @@ impl Sections {
     /// Kinds of records to search for after damage. In a file with chunks, others may lie in a chunk
     /// with a damaged head, where no checksum proves them. Which file it is shows the first chunk or
     /// message, or else what lies as far ahead as one chunk reaches.
-    fn kinds_to_find(&mut self) -> Result<Kinds, FileError> {
+    fn kinds_to_find(&mut self) -> Result<Kinds, RecordingError> {
         let mut at = 1;
         while self.has_chunks.is_none() {
             if self.window.is_shown(at, |kind| matches!(kind, kind::CHUNK | kind::MESSAGE_INDEX))? {
@@ -253,7 +257,7 @@ impl Sections {
     /// If the next record lies in an unwanted part, continues after that part. If no record
     /// begins there, the file has lost or gained bytes since its index was written: then
     /// leaves out nothing.
-    fn leave_out(&mut self) -> Result<(), FileError> {
+    fn leave_out(&mut self) -> Result<(), RecordingError> {
         let here = self.window.offset;
         while let Some(part) = self.unwanted.front().cloned()
             && part.start <= self.window.offset
@@ -271,7 +275,7 @@ impl Sections {
     }
 
     /// Reads the chunk here, whose record has `length` bytes if the file was not cut off.
-    fn chunk(&mut self, length: usize) -> Result<Option<Section>, FileError> {
+    fn chunk(&mut self, length: usize) -> Result<Option<Section>, RecordingError> {
         self.has_chunks = Some(true);
         let bytes = self.window.peek(length)?;
         self.used = length.min(bytes.len());
@@ -295,10 +299,12 @@ impl Sections {
     }
 
     /// Decompresses the chunk here.
-    fn decompress(&mut self, head: &ChunkHead, is_whole: bool) -> Result<(), FileError> {
+    fn decompress(&mut self, head: &ChunkHead, is_whole: bool) -> Result<(), RecordingError> {
         let chunk = self.window.bytes(0..self.used.min(head.records.end));
         match decompress(chunk, head, &mut self.decompressed) {
-            Err(Failure::Compression) => Err(FileError::Compressed(head.compression.clone())),
+            Err(Failure::Compression) => {
+                Err(RecordingError::Compressed { compression: head.compression.clone() })
+            }
             Err(Failure::Damaged(reason)) if is_whole => Err(self.damaged(reason)),
             _ => Ok(()),
         }
@@ -315,24 +321,24 @@ impl Sections {
 
     /// Skips to the first record of a file that does not begin like MCAP. Fails if there is
     /// none nearby: a few damaged bytes do not make another kind of file.
-    fn find_first_record(&mut self) -> Result<Option<Section>, FileError> {
+    fn find_first_record(&mut self) -> Result<Option<Section>, RecordingError> {
         let error = self.damaged("the file does not begin with the magic bytes of MCAP");
         let is_first =
             |kind| matches!(kind, kind::HEADER | kind::SCHEMA | kind::CHANNEL | kind::CHUNK);
         match self.window.skip_to(is_first, MAX_CHUNK_BYTES)? {
             true => Err(error),
-            false => Err(FileError::NotMcap),
+            false => Err(RecordingError::NotMcap),
         }
     }
 
     /// Skips to the next record, or to the end of the file.
-    fn resynchronise<T>(&mut self, reason: &'static str) -> Result<T, FileError> {
+    fn resynchronise<T>(&mut self, reason: &'static str) -> Result<T, RecordingError> {
         let error = self.damaged(reason);
         self.find_record()?;
         Err(error)
     }
 
-    fn find_record(&mut self) -> Result<(), FileError> {
+    fn find_record(&mut self) -> Result<(), RecordingError> {
         let is_stray = self.window.begins(1, is_known)?;
         let kinds = self.kinds_to_find()?;
         match is_stray {
@@ -342,9 +348,9 @@ impl Sections {
         Ok(())
     }
 
-    pub(super) fn damaged(&mut self, reason: &'static str) -> FileError {
+    pub(super) fn damaged(&mut self, reason: &'static str) -> RecordingError {
         self.window.checksum = None;
-        FileError::Damaged { offset: self.window.offset, reason }
+        RecordingError::Damaged { offset: self.window.offset, reason }
     }
 
     fn end_early<T>(&mut self) -> Option<T> {
