@@ -10,8 +10,8 @@ use std::time::Duration;
 use super::RecordingError;
 use super::latched::{Latched, LatchedMessage, LatchedTopic};
 use super::mcap::{
-    DefinitionWriter, Definitions, Input, McapWriter, MessageHeader, Records, header, kind,
-    parse_metadata,
+    Compression, DefinitionWriter, Definitions, Input, McapWriter, MessageHeader, Records, header,
+    kind, parse_metadata,
 };
 use super::messages::{Messages, lost_schema, time};
 use super::polls::StreamPolls;
@@ -40,8 +40,7 @@ pub struct Copied {
     pub damaged_parts: u64,
     /// Positions of the first damaged parts in their file, at most 16.
     pub damaged_at: Vec<u64>,
-    /// True if the end of a file was missing or damaged. Other readers need the end, an index, to
-    /// find the messages.
+    /// True if the end of a file was missing or damaged: the index, which other readers need.
     pub was_truncated: bool,
 }
 
@@ -69,20 +68,20 @@ impl Copied {
 /// last one of each child frame, because `/tf_static` has several publishers. The messages get the log
 /// time of the part's first message.
 ///
-/// Only a checksum proves a message: a damaged one outside of chunks, or in a chunk without a
-/// checksum, may be copied with its changes. A record whose kind was damaged may look like one of a
-/// later version of the format, and is skipped. Fields of later versions are not copied.
+/// Only a checksum proves a message: a damaged one outside of chunks, or in a chunk without a checksum,
+/// may be copied with its changes. A record whose kind was damaged may look like one of a later version
+/// of the format, and is skipped. Fields of later versions are not copied.
 ///
-/// Leaves out damaged parts, builds a new index, and writes compressed chunks as plain ones. The
-/// copy has at most eight times the bytes of the inputs without compression, plus 8 KiB: a hostile
-/// file makes the most of small records.
+/// Leaves out damaged parts, and builds a new index. Without a `compression` the copy has that of the
+/// inputs, or the strongest of them, if this build [writes](Compression::is_written) it. It has at most
+/// eight times the bytes of the inputs without compression, plus 8 KiB: a hostile file makes the most of
+/// small records.
 ///
 /// Blocks the thread, and reads all inputs to their end. Needs memory for the longest chunk of each
-/// input, plus 64 MiB for the index of the copy, plus up to 64 MiB of latched messages, plus the definitions of
-/// message types: up to 64 MiB for each input, and twice for the copy. What does not fit counts as
-/// damage. A copy whose index
-/// would be longer has none: its chunks have about a second of messages, and 768 KiB once the index
-/// has 8 MiB.
+/// input, plus 64 MiB for the index of the copy, plus up to 64 MiB of latched messages, plus the
+/// definitions of message types: up to 64 MiB for each input, and twice for the copy. What does not fit
+/// counts as damage. A copy whose index would be longer has none: its chunks have about a second of
+/// messages, and 768 KiB once the index has 8 MiB.
 ///
 /// Definitions that were lost with a damaged part are taken from the index if the input is a
 /// [`File`](std::fs::File). Without it, messages of recordings keep their type, and others have none.
@@ -92,8 +91,8 @@ impl Copied {
 ///
 /// Fails with [`RecordingError::NotMcap`] if an input is no recording,
 /// [`RecordingError::Compressed`] if this build does not read its compression,
-/// [`RecordingError::Read`] if reading fails, and [`RecordingError::Write`] if
-/// writing does. The output is then incomplete.
+/// [`RecordingError::NotWritten`] if it does not write `compression`, [`RecordingError::Read`] if reading
+/// fails, and [`RecordingError::Write`] if writing does. The output is then incomplete.
 ///
 /// ```no_run
 /// use std::fs::File;
@@ -103,15 +102,17 @@ impl Copied {
 ///
 /// let files = [File::open("run.mcap")?, File::open("run_0002.mcap")?];
 /// let from = Duration::from_secs(3500);
-/// let copied = cut(files, from..from + Duration::from_secs(200), File::create_new("part.mcap")?)?;
+/// let copied = cut(files, from..from + Duration::from_secs(200), None, File::create_new("part.mcap")?)?;
 /// println!("{} scans", copied.scans);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn cut<R: Read + Send + 'static>(
     inputs: impl IntoIterator<Item = R>,
     range: impl RangeBounds<Duration>,
+    compression: Option<Compression>,
     output: impl Write,
 ) -> Result<Copied, RecordingError> {
+    compression.unwrap_or_default().check()?;
     let mut outcome = Copied::default();
     let mut sources: Vec<Source> =
         inputs.into_iter().map(|input| Source::new(Input::new(input))).collect();
@@ -124,8 +125,11 @@ pub fn cut<R: Read + Send + 'static>(
     let first = queue.peek().and_then(|Reverse((_, number))| sources.get_mut(*number));
     let head = first.and_then(|source| source.header.take());
     let head = head.unwrap_or_else(|| header("ros2", ""));
+    let known = sources.iter().map(Source::compression).max().unwrap_or_default();
     let mut copy = Copy {
-        writer: McapWriter::start_copy(output, &head).map_err(RecordingError::write)?,
+        writer: McapWriter::start_copy(output, &head, compression.unwrap_or(known))
+            .map_err(RecordingError::write)?,
+        keeps_compression: compression.is_none(),
         definitions: DefinitionWriter::default(),
         range: TimeRange::new(&range),
         version: None,
@@ -159,7 +163,7 @@ pub fn repair(
     input: impl Read + Send + 'static,
     output: impl Write,
 ) -> Result<Copied, RecordingError> {
-    cut([input], .., output)
+    cut([input], .., None, output)
 }
 
 /// Input of a copy, read up to its next message.
@@ -232,9 +236,13 @@ impl Source {
         }
         Ok(())
     }
-}
 
-impl Source {
+    /// Strongest compression of its chunks so far that this build writes.
+    fn compression(&self) -> Compression {
+        let mut known = self.records.chunk_bytes().compressions.iter();
+        known.rfind(|known| known.is_written()).copied().unwrap_or_default()
+    }
+
     fn latched_topic(&mut self, channel: u16) -> Option<LatchedTopic> {
         let Self { definitions, latched, .. } = self;
         let find = || LatchedTopic::of_channel(&definitions.channel(channel)?);
@@ -245,6 +253,7 @@ impl Source {
 /// Copy in progress.
 struct Copy<W> {
     writer: McapWriter<W>,
+    keeps_compression: bool,
     definitions: DefinitionWriter,
     range: TimeRange,
     /// Latest version of the sensor, and its source.
@@ -278,6 +287,10 @@ impl<W: Write> Copy<W> {
             self.writer.copy_metadata(name, &content)?;
         }
         let Some(content) = source.message.take() else { return Ok(()) };
+        if self.keeps_compression {
+            // The first chunk may be one that does not get shorter.
+            self.writer.compress_at_least(source.compression());
+        }
         let Some((mut header, data)) = MessageHeader::parse(&content) else { return Ok(()) };
         let record = source.messages.parse(&content).and_then(Result::ok);
         let record = record.filter(|record| record.topic.is_none());

@@ -88,8 +88,18 @@ pub enum RecordingError {
         /// What is missing.
         reason: &'static str,
     },
-    /// Another program compressed the file's chunks, and this build does not read the compression.
-    /// Feature `compression` reads `zstd` and `lz4`. Recordings of this crate are not compressed.
+    /// This build does not write the compression: feature `compression` writes `lz4`, and feature
+    /// `zstd` both.
+    #[error(
+        "cannot compress with {compression}: build with the feature `{}`",
+        feature(compression)
+    )]
+    NotWritten {
+        /// Name of the compression.
+        compression: String,
+    },
+    /// The file's chunks are compressed, and this build does not read the compression. Feature
+    /// `compression` reads `zstd` and `lz4`.
     #[error("cannot read a recording with `{compression}` compression: {}", remedy(compression))]
     Compressed {
         /// Name of the compression.
@@ -150,6 +160,11 @@ fn conversion(path: &Path) -> String {
          `pip install rosbags` installs",
         to.with_extension("").display()
     )
+}
+
+/// Feature that writes a compression.
+fn feature(compression: &str) -> &str {
+    if compression == "zstd" { "zstd" } else { "compression" }
 }
 
 fn remedy(compression: &str) -> &'static str {

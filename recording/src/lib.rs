@@ -118,6 +118,7 @@ pub use self::event::{Event, Events};
 pub use self::file::RecordingFile;
 pub use self::folder::recording_files;
 pub use self::left_out::{LeftOut, LeftOutCounter, LeftOutReason};
+pub use self::mcap::{ChunkBytes, Compression};
 pub use self::progress::Progress;
 pub use self::reader::Recording;
 pub use self::record::{Entry, Record, RecordedReply};

@@ -14,6 +14,7 @@ use tokio::time::Instant;
 use super::RecordingError;
 use super::held::Held;
 use super::item::WriteItem;
+use super::mcap::Compression;
 use super::output::Output;
 use super::parts::{Limits, Parts};
 use super::progress::Progress;
@@ -47,6 +48,7 @@ pub(super) struct Queue {
 pub(super) struct QueueSettings {
     pub(super) limits: Limits,
     pub(super) frame_id: String,
+    pub(super) compression: Compression,
     pub(super) sync_interval: Option<Duration>,
     pub(super) before: Option<Duration>,
 }
@@ -74,7 +76,7 @@ impl Queue {
         path: Option<PathBuf>,
         settings: QueueSettings,
     ) -> Result<Arc<Self>, RecordingError> {
-        let QueueSettings { limits, frame_id, sync_interval, before } = settings;
+        let QueueSettings { limits, frame_id, compression, sync_interval, before } = settings;
         let syncer = sync_interval.map(Syncer::start).transpose().map_err(RecordingError::write)?;
         let (queue, receiver) = Self::new(syncer, before);
         let queue = Arc::new(queue);
@@ -87,7 +89,8 @@ impl Queue {
             }
         };
         let parts = Parts::new(limits, path, current, further);
-        let writer = Writer::new(first, parts, LogClock::starting_now(), frame_id)
+        let clock = LogClock::starting_now();
+        let writer = Writer::new(first, parts, clock, frame_id, compression)
             .map_err(RecordingError::write)?;
         let thread = {
             let queue = Arc::clone(&queue);
@@ -309,6 +312,7 @@ mod tests {
         let settings = QueueSettings {
             limits: Limits::default(),
             frame_id: String::new(),
+            compression: Compression::Plain,
             sync_interval: Some(Duration::ZERO),
             before: None,
         };

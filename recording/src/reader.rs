@@ -12,7 +12,7 @@ use std::time::{Duration, SystemTime};
 
 use super::folder::recording_files;
 use super::left_out::{LeftOutCounter, LeftOutReason};
-use super::mcap::{Input, Records, kind, parse_metadata};
+use super::mcap::{ChunkBytes, Input, Records, kind, parse_metadata};
 use super::messages::{Messages, Unread};
 use super::range::TimeRange;
 use super::record::{Entry, Record};
@@ -54,6 +54,8 @@ pub struct Recording {
     further: VecDeque<PathBuf>,
     /// True if the end of an earlier file is missing.
     was_truncated: bool,
+    /// Chunks of the earlier files.
+    chunk_bytes: ChunkBytes,
     messages: Messages,
     metadata: BTreeMap<String, String>,
     /// Bytes of records read so far, without compression.
@@ -102,6 +104,7 @@ impl Recording {
             records: Records::new(input),
             further,
             was_truncated: false,
+            chunk_bytes: ChunkBytes::default(),
             messages: Messages::default(),
             metadata: BTreeMap::new(),
             read_bytes: 0,
@@ -181,10 +184,18 @@ impl Recording {
         self.was_truncated || self.records.is_truncated()
     }
 
+    /// Bytes of the chunks read so far, and their compressions.
+    pub fn chunk_bytes(&self) -> ChunkBytes {
+        let mut bytes = self.chunk_bytes.clone();
+        bytes.extend(self.records.chunk_bytes());
+        bytes
+    }
+
     /// Continues in the next file. Returns false after the last one.
     fn open_next(&mut self) -> Result<bool, RecordingError> {
         let Some(path) = self.further.pop_front() else { return Ok(false) };
         self.was_truncated |= self.records.is_truncated();
+        self.chunk_bytes.extend(self.records.chunk_bytes());
         self.records = Records::new(open(path)?);
         self.messages = Messages::default();
         if let Some(times) = &self.times {

@@ -9,6 +9,7 @@ use tokio::time::Instant;
 
 use super::identity::parse_version;
 use super::left_out::{LeftOutCounter, LeftOutReason};
+use super::mcap::ChunkBytes;
 use super::polls::{PollReply, Polls};
 use super::{Recording, RecordingError};
 use tokio_scip::{Scan, Version};
@@ -95,6 +96,11 @@ impl RecordedScans {
     /// [`Recording::is_truncated`].
     pub fn is_truncated(&self) -> bool {
         self.polls.recording.is_truncated()
+    }
+
+    /// Bytes of the chunks read so far, and their compressions.
+    pub fn chunk_bytes(&self) -> ChunkBytes {
+        self.polls.recording.chunk_bytes()
     }
 
     /// Number of polls without a scan among the records read so far, by the recorded events.

@@ -6,7 +6,7 @@ use std::io::{self, Write};
 use std::time::{Duration, Instant, SystemTime};
 
 use super::METADATA;
-use super::mcap::{self, McapWriter, MessageHeader, nanos};
+use super::mcap::{self, Compression, McapWriter, MessageHeader, nanos};
 use super::parts::Parts;
 use super::topics::Topic;
 use crate::ros::{self, since_1970};
@@ -58,6 +58,7 @@ pub(super) struct Writer {
     parts: Parts,
     clock: LogClock,
     frame_id: String,
+    compression: Compression,
     /// Numbers of replies and events.
     numbers: [u32; 2],
     message: Vec<u8>,
@@ -94,12 +95,14 @@ impl Writer {
         parts: Parts,
         clock: LogClock,
         frame_id: String,
+        compression: Compression,
     ) -> io::Result<Self> {
         let mut writer = Self {
-            mcap: start(out)?,
+            mcap: start(out, compression)?,
             parts,
             clock,
             frame_id,
+            compression,
             numbers: [0; 2],
             message: Vec::with_capacity(4096),
             chunk_began: None,
@@ -206,7 +209,7 @@ impl Writer {
     fn start_next_part(&mut self, log_time: u64) -> io::Result<()> {
         // End the file first: if there is no room for another one, this one is complete.
         self.mcap.end()?;
-        self.mcap = start(self.parts.next()?)?;
+        self.mcap = start(self.parts.next()?, self.compression)?;
         self.part = Part::default();
         self.chunk_began = None;
         // First, because the metadata are written at once.
@@ -230,8 +233,11 @@ impl Writer {
 }
 
 /// Starts a file with the three channels.
-fn start(out: Box<dyn Write + Send>) -> io::Result<McapWriter<Box<dyn Write + Send>>> {
-    let mut mcap = McapWriter::start(out, &mcap::header("ros2", LIBRARY))?;
+fn start(
+    out: Box<dyn Write + Send>,
+    compression: Compression,
+) -> io::Result<McapWriter<Box<dyn Write + Send>>> {
+    let mut mcap = McapWriter::start(out, &mcap::header("ros2", LIBRARY), compression)?;
     for topic in Topic::ALL {
         let message = topic.message_type();
         mcap.add_schema(topic.schema(), message.name(), message.definition());
@@ -267,7 +273,8 @@ mod tests {
         let out = RecordingFile::open(&path, false).unwrap().begin().unwrap().writer;
         let clock = LogClock::starting_now();
         let mut times = clock.began;
-        let mut writer = Writer::new(out, parts, clock, "laser".to_owned()).unwrap();
+        let mut writer =
+            Writer::new(out, parts, clock, "laser".to_owned(), Compression::Plain).unwrap();
         while writer.mcap.index_entries() < MAX_PART_ENTRIES - 4 {
             writer.metadata(BTreeMap::new()).unwrap();
         }

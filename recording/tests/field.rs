@@ -104,7 +104,8 @@ async fn a_part_keeps_its_times() {
     let whole = times(&sink.bytes());
     let mut part = Vec::new();
     let range = Duration::from_secs(3)..Duration::from_secs(6);
-    let outcome = cut([std::io::Cursor::new(sink.bytes())], range.clone(), &mut part).unwrap();
+    let outcome =
+        cut([std::io::Cursor::new(sink.bytes())], range.clone(), None, &mut part).unwrap();
     assert_eq!((outcome.damaged_parts, outcome.was_truncated), (0, false));
     let copied = times(&part);
     assert_eq!(outcome.messages as usize, copied.len());
@@ -143,7 +144,7 @@ async fn joined_files_equal_the_unsplit_recording() {
     let files: Vec<File> = files.map_while(|path| File::open(path).ok()).collect();
     assert!(files.len() >= 3);
     let mut joined = Vec::new();
-    let outcome = cut(files, .., &mut joined).unwrap();
+    let outcome = cut(files, .., None, &mut joined).unwrap();
     assert_eq!(outcome.scans, 60);
     let records: Vec<_> =
         Recording::read(std::io::Cursor::new(joined)).unwrap().map(Result::unwrap).collect();

@@ -237,3 +237,23 @@ pub(crate) fn truth_of<'a>(scans: &[Scan], numbers: impl IntoIterator<Item = &'a
 pub(crate) fn write_truth(path: &Path, truth: &str) {
     std::fs::write(path, truth).unwrap();
 }
+
+/// Before a file is touched.
+#[cfg(not(feature = "zstd"))]
+#[test]
+fn a_compression_of_other_builds_is_an_explained_error() {
+    use urg_recording::{Compression, cut};
+
+    let folder = Folder::new("other-build");
+    let path = folder.write(b"precious");
+    let builder = Recorder::builder().overwrite(true).compression(Compression::Zstd);
+    let mut copy = Vec::new();
+    for error in [
+        builder.create(&path).unwrap_err(),
+        cut([std::io::Cursor::new([])], .., Some(Compression::Zstd), &mut copy).unwrap_err(),
+    ] {
+        assert!(matches!(error, RecordingError::NotWritten { .. }), "{error:?}");
+        assert!(error.to_string().ends_with("zstd: build with the feature `zstd`"), "{error}");
+    }
+    assert_eq!((std::fs::read(path).unwrap(), copy), (b"precious".to_vec(), vec![]));
+}

@@ -51,7 +51,7 @@ async fn a_folder_is_read_file_by_file() {
     for (from, to) in [(0, 500), (900, 1100), (1500, 3200), (3900, 9000)] {
         let range = Duration::from_millis(from)..Duration::from_millis(to);
         let (inputs, mut part) = (files().into_iter().map(|f| fs::File::open(f).unwrap()), vec![]);
-        cut(inputs, range.clone(), &mut part).unwrap();
+        cut(inputs, range.clone(), None, &mut part).unwrap();
         let part = Recording::read(std::io::Cursor::new(part)).unwrap();
         assert_eq!(read(open().range(range)), read(part), "{from}..{to}");
     }

@@ -300,7 +300,7 @@ async fn every_message_is_a_scan_or_counted() {
         }
         // A copy counts the same scans.
         let mut copy = Vec::new();
-        let copied = cut([Cursor::new(file.clone())], .., &mut copy).unwrap();
+        let copied = cut([Cursor::new(file.clone())], .., None, &mut copy).unwrap();
         assert_eq!(copied.scans, scans.len() as u64, "{seed}");
         // So does a replay, and it has the values of each.
         let Some(first) = truth.scans.first().filter(|_| seed % 4 == 0) else { continue };
@@ -349,7 +349,7 @@ fn a_part_shows_the_stream_that_it_has() {
         Cursor::new(writer.into_inner().into_inner())
     };
     let mut joined = Vec::new();
-    let copied = cut([bag(long, 0..10), bag(short, 3..5)], .., &mut joined).unwrap();
+    let copied = cut([bag(long, 0..10), bag(short, 3..5)], .., None, &mut joined).unwrap();
     let read = |file: &[u8]| {
         let mut recorded = open(file).scans();
         let windows: Vec<Window> = recorded.by_ref().map(|scan| scan.unwrap().window()).collect();
@@ -363,7 +363,7 @@ fn a_part_shows_the_stream_that_it_has() {
     assert_eq!(copied.scans, 51);
     let mut part = Vec::new();
     let seconds = |seconds| Duration::from_secs(seconds);
-    let copied = cut([Cursor::new(joined)], seconds(7)..seconds(9), &mut part).unwrap();
+    let copied = cut([Cursor::new(joined)], seconds(7)..seconds(9), None, &mut part).unwrap();
     assert_eq!(read(&part), (20, 0, BTreeMap::new()));
     assert_eq!(copied.scans, 20);
 }

@@ -6,6 +6,8 @@
 mod any_time;
 mod before;
 mod common;
+#[cfg(feature = "zstd")]
+mod compress;
 #[cfg(feature = "compression")]
 mod compressed;
 mod crash_and_full_disk;
@@ -26,6 +28,8 @@ mod parts;
 mod pieces;
 mod properties;
 mod raw;
+#[cfg(feature = "compression")]
+mod recompress;
 mod repair;
 mod replay;
 mod ros;

@@ -3,8 +3,9 @@
 
 use std::time::Duration;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use tokio_scip::{BaudRate, Geometry, Rate, Window};
+use urg_recording::Compression;
 
 use crate::failure::Failure;
 
@@ -26,6 +27,43 @@ pub(crate) struct LinkArgs {
     #[arg(long, value_name = "TIME", value_parser = duration, allow_hyphen_values = true,
         conflicts_with = "wait")]
     pub(crate) timeout: Option<Duration>,
+}
+
+/// Compression of a recording that is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum CompressionName {
+    None,
+    #[cfg(feature = "compression")]
+    Lz4,
+    #[cfg(feature = "zstd")]
+    Zstd,
+}
+
+impl From<CompressionName> for Compression {
+    fn from(name: CompressionName) -> Self {
+        match name {
+            CompressionName::None => Self::Plain,
+            #[cfg(feature = "compression")]
+            CompressionName::Lz4 => Self::Lz4,
+            #[cfg(feature = "zstd")]
+            CompressionName::Zstd => Self::Zstd,
+        }
+    }
+}
+
+/// Option of the commands that write a recording anew.
+#[derive(Debug, Clone, Copy, Args)]
+pub(crate) struct CopyArgs {
+    /// Compression of the copy [default: as in the files that are read]
+    #[arg(long, value_name = "NAME", value_enum)]
+    compress: Option<CompressionName>,
+}
+
+impl CopyArgs {
+    /// Compression, or `None` for that of the inputs.
+    pub(crate) fn compression(&self) -> Option<Compression> {
+        self.compress.map(Compression::from)
+    }
 }
 
 /// Options for the steps to measure. A recording has its own default.

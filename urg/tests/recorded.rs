@@ -195,6 +195,31 @@ async fn every_command_that_reads_a_sensor_reads_a_recording() {
     assert!(check.stdout.contains("FAILED  complete no: its end is missing"), "{}", check.stdout);
 }
 
+#[test]
+fn a_recording_is_compressed_and_copied() {
+    let names = ["compressed", "compressed-kept", "compressed-plain"];
+    let [file, kept, plain] = names.map(Scratch::mcap);
+    run(&format!("record emulated {} --count 20 --compress lz4", file.path()), 0);
+    run(&format!("cut {} {}", file.path(), kept.path()), 0);
+    run(&format!("cut {} {} --compress none", file.path(), plain.path()), 0);
+    let info = |path: &str| -> Value {
+        serde_json::from_str(&run(&format!("info {path} --format json"), 0).stdout).unwrap()
+    };
+    let stream = |path: &str| run(&format!("stream {path} --rate max --format ndjson"), 0).stdout;
+    for (path, names) in
+        [(file.path(), vec!["lz4"]), (kept.path(), vec!["lz4"]), (plain.path(), vec![])]
+    {
+        let found = &info(path)["compression"];
+        let [bytes, plain] = ["bytes", "plain_bytes"].map(|key| found[key].as_u64().unwrap());
+        assert_eq!((&found["names"], bytes < plain), (&names.clone().into(), !names.is_empty()));
+        assert_eq!(stream(path), stream(file.path()));
+    }
+    let text = run(&format!("info {}", file.path()), 0).stdout;
+    assert!(text.contains("compression    lz4, to "), "{text}");
+    let text = run(&format!("info {}", plain.path()), 0).stdout;
+    assert!(text.contains("compression    none\n"), "{text}");
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_recording_without_replies_is_read_by_every_command() {
     let (file, copy) = (Scratch::mcap("messages"), Scratch::mcap("messages-copy"));

@@ -13,6 +13,17 @@ pub(super) struct ChunkMessages {
     channels: BTreeMap<u16, Vec<(u64, u64)>>,
 }
 
+/// Where a chunk is, and how it is compressed.
+pub(super) struct ChunkPlace {
+    pub(super) start: u64,
+    /// Length of its record.
+    pub(super) length: u64,
+    pub(super) compression: &'static str,
+    /// Length of its records, with compression and without.
+    pub(super) compressed: u64,
+    pub(super) size: u64,
+}
+
 /// Contents of a file's summary.
 #[derive(Default)]
 pub(super) struct Index {
@@ -118,15 +129,8 @@ impl Index {
         self.limit_length();
     }
 
-    /// Adds a chunk at `start` with these messages. Its record has `length` bytes, and `size` bytes
-    /// are records in it. Returns the records that follow the chunk.
-    pub(super) fn add_chunk(
-        &mut self,
-        start: u64,
-        length: u64,
-        size: u64,
-        messages: &ChunkMessages,
-    ) -> Vec<u8> {
+    /// Adds a chunk with these messages. Returns the records that follow it.
+    pub(super) fn add_chunk(&mut self, place: &ChunkPlace, messages: &ChunkMessages) -> Vec<u8> {
         self.chunks += 1;
         if let Some((first, last)) = messages.span {
             self.span = Some(extend(self.span, first, last));
@@ -135,19 +139,19 @@ impl Index {
             *self.messages.entry(*channel).or_default() += messages.len() as u64;
         }
         let mut places = Vec::new();
-        let lists = messages.indexes(start + length, &mut places);
+        let lists = messages.indexes(place.start + place.length, &mut places);
         if self.is_too_long {
             return lists;
         }
         let (first, last) = messages.span();
         put_record(&mut self.chunk_indexes, kind::CHUNK_INDEX, |out| {
-            for field in [first, last, start, length] {
+            for field in [first, last, place.start, place.length] {
                 out.extend_from_slice(&field.to_le_bytes());
             }
             put_bytes(out, &places);
             out.extend_from_slice(&(lists.len() as u64).to_le_bytes());
-            put_bytes(out, b"");
-            for field in [size; 2] {
+            put_bytes(out, place.compression.as_bytes());
+            for field in [place.compressed, place.size] {
                 out.extend_from_slice(&field.to_le_bytes());
             }
         });
@@ -224,13 +228,14 @@ fn extend(span: Option<(u64, u64)>, from: u64, to: u64) -> (u64, u64) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::McapWriter;
     use super::super::write::header;
+    use super::super::{Compression, McapWriter};
     use super::*;
 
     /// Writes `count` chunks of one message.
     fn chunks(count: usize) -> McapWriter<Vec<u8>> {
-        let mut writer = McapWriter::start(Vec::new(), &header("", "")).unwrap();
+        let mut writer =
+            McapWriter::start(Vec::new(), &header("", ""), Compression::Plain).unwrap();
         writer.add_schema(1, "std_msgs/msg/String", "string data");
         writer.add_channel(0, 1, "/scan");
         for sequence in 0..count as u32 {

@@ -4,6 +4,8 @@
 //! Written by hand, for files that are hostile, damaged or weeks long; `rationale` compares it with
 //! the crate `mcap`, with which the tests read what is written here.
 
+mod compress;
+mod compression;
 mod definitions;
 mod form;
 mod index;
@@ -15,6 +17,7 @@ mod write;
 
 use std::time::Duration;
 
+pub use self::compression::{ChunkBytes, Compression};
 pub(super) use self::definitions::{Channel, DefinitionWriter, Definitions};
 pub(super) use self::form::parse_metadata;
 pub(super) use self::input::Input;

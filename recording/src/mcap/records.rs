@@ -6,7 +6,7 @@ use std::ops::{Range, RangeInclusive};
 use super::form::{After, Unmeasured, begins, is_known, is_well_formed, measure, next_start};
 use super::input::FileIndex;
 use super::read::{Section, Sections};
-use super::{Fields, Input, RECORD_HEAD, kind};
+use super::{ChunkBytes, Fields, Input, RECORD_HEAD, kind};
 use crate::RecordingError;
 
 /// Reads the well-formed records of a file, including those in chunks.
@@ -34,6 +34,11 @@ impl Records {
     /// Returns true if the whole file was read and its end is missing.
     pub(in super::super) fn is_truncated(&self) -> bool {
         self.sections.is_truncated()
+    }
+
+    /// Bytes of the chunks so far.
+    pub(in super::super) fn chunk_bytes(&self) -> &ChunkBytes {
+        &self.sections.chunk_bytes
     }
 
     /// Leaves out chunks without a message at these times, if the file's index lists them.

@@ -4,20 +4,25 @@
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
-use super::index::{ChunkMessages, Index};
+use super::compress::Compressor;
+use super::index::{ChunkMessages, ChunkPlace, Index};
 use super::{
-    CHUNK_HEAD, MAGIC, MAX_INDEX_BYTES, MessageHeader, RECORD_HEAD, kind, put_bytes, put_record,
+    CHUNK_HEAD, Compression, MAGIC, MAX_INDEX_BYTES, MessageHeader, RECORD_HEAD, kind, put_bytes,
+    put_record,
 };
 
 /// A chunk is written before a message makes it longer than this. Until then it waits for a flush.
 const CHUNK_BYTES: usize = 768 << 10;
 
-/// Writes an MCAP file without compression.
+/// Writes an MCAP file.
 pub(in super::super) struct McapWriter<W> {
     out: W,
     /// Number of bytes written.
     offset: u64,
     chunk: OpenChunk,
+    compressor: Compressor,
+    /// Record of the latest compressed chunk.
+    compressed: Vec<u8>,
     index: Index,
     /// Bytes of messages since a chunk began with all channels, in a copy. A recording repeats
     /// them in each chunk, so that losing one chunk does not affect the others.
@@ -35,22 +40,43 @@ struct OpenChunk {
 impl<W: Write> McapWriter<W> {
     /// Starts a file. `header` is the content of its header record, from [`header`]. A
     /// file with an index longer than [`MAX_INDEX_BYTES`] ends without one.
-    pub(in super::super) fn start(mut out: W, header: &[u8]) -> io::Result<Self> {
+    pub(in super::super) fn start(
+        mut out: W,
+        header: &[u8],
+        compression: Compression,
+    ) -> io::Result<Self> {
         let mut head = MAGIC.to_vec();
         put_record(&mut head, kind::HEADER, |out| out.extend_from_slice(header));
         out.write_all(&head)?;
-        let (chunk, index) = (OpenChunk::default(), Index::default());
-        Ok(Self { out, offset: head.len() as u64, chunk, index, since_channels: None })
+        Ok(Self {
+            out,
+            offset: head.len() as u64,
+            chunk: OpenChunk::default(),
+            compressor: Compressor::new(compression),
+            compressed: Vec::new(),
+            index: Index::default(),
+            since_channels: None,
+        })
     }
 
     /// Starts a copy of other files, and repeats its channels only if they are shorter than the
     /// messages before: a hostile file has many long ones, and chunks of one message.
-    pub(in super::super) fn start_copy(out: W, header: &[u8]) -> io::Result<Self> {
-        let writer = Self::start(out, header)?;
+    pub(in super::super) fn start_copy(
+        out: W,
+        header: &[u8],
+        compression: Compression,
+    ) -> io::Result<Self> {
+        let writer = Self::start(out, header, compression)?;
         Ok(Self { since_channels: Some(0), ..writer })
     }
 
-    /// Length of the file so far, including the open chunk.
+    /// Compresses from now on, unless it does so already.
+    pub(in super::super) fn compress_at_least(&mut self, compression: Compression) {
+        let known = &mut self.compressor.compression;
+        *known = compression.max(*known);
+    }
+
+    /// Length of the file so far, including the open chunk without compression.
     pub(in super::super) fn len(&self) -> u64 {
         self.offset + self.chunk.record.len() as u64
     }
@@ -190,23 +216,39 @@ impl<W: Write> McapWriter<W> {
         if chunk.record.is_empty() {
             return Ok(());
         }
-        let size = chunk.record.len() - CHUNK_HEAD;
         let records = chunk.record.get(CHUNK_HEAD..).unwrap_or_default();
+        let (size, crc) = (records.len(), crc32fast::hash(records));
+        let name = self.compressor.compression.name();
+        self.compressed.clear();
+        self.compressed.resize(CHUNK_HEAD + name.len(), 0);
+        let is_compressed = self.compressor.compress(records, &mut self.compressed);
+        let (record, compression) = match is_compressed {
+            true => (&mut self.compressed, name),
+            false => (&mut chunk.record, ""),
+        };
+        let head_bytes = CHUNK_HEAD + compression.len();
         let (start, end) = chunk.messages.span();
         let mut head = vec![kind::CHUNK];
-        head.extend_from_slice(&((chunk.record.len() - RECORD_HEAD) as u64).to_le_bytes());
+        head.extend_from_slice(&((record.len() - RECORD_HEAD) as u64).to_le_bytes());
         head.extend_from_slice(&start.to_le_bytes());
         head.extend_from_slice(&end.to_le_bytes());
         head.extend_from_slice(&(size as u64).to_le_bytes());
-        head.extend_from_slice(&crc32fast::hash(records).to_le_bytes());
-        put_bytes(&mut head, b"");
-        head.extend_from_slice(&(size as u64).to_le_bytes());
-        if let Some(place) = chunk.record.get_mut(..CHUNK_HEAD) {
+        head.extend_from_slice(&crc.to_le_bytes());
+        put_bytes(&mut head, compression.as_bytes());
+        head.extend_from_slice(&((record.len() - head_bytes) as u64).to_le_bytes());
+        if let Some(place) = record.get_mut(..head_bytes) {
             place.copy_from_slice(&head);
         }
-        let (start, length) = (self.offset, chunk.record.len() as u64);
-        self.write(&chunk.record)?;
-        let lists = self.index.add_chunk(start, length, size as u64, &chunk.messages);
+        let place = ChunkPlace {
+            start: self.offset,
+            length: record.len() as u64,
+            compression,
+            compressed: (record.len() - head_bytes) as u64,
+            size: size as u64,
+        };
+        self.out.write_all(record)?;
+        self.offset += place.length;
+        let lists = self.index.add_chunk(&place, &chunk.messages);
         self.write(&lists)?;
         // The next chunk reuses the memory.
         chunk.record.clear();
@@ -259,7 +301,8 @@ mod tests {
         let header = MessageHeader { channel: 0, sequence: 0, log_time: 0, publish_time: 0 };
         let first = CHUNK_BYTES / 2;
         for (longer, chunks) in [(0, 1), (1, 2)] {
-            let mut writer = McapWriter::start(Vec::new(), &super::header("", "")).unwrap();
+            let mut writer =
+                McapWriter::start(Vec::new(), &super::header("", ""), Compression::Plain).unwrap();
             writer.message(header, &vec![0; first]).unwrap();
             // With its data the chunk has exactly the limit, or one byte more.
             let rest = CHUNK_BYTES - CHUNK_HEAD - MESSAGE_HEAD - first + longer;

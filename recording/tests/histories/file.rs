@@ -1,5 +1,6 @@
 //! Files of the histories: what an independent reader finds in them, and what damage costs.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
@@ -90,9 +91,38 @@ fn schema(schema: &mcap::Schema<'_>) -> String {
     format!("{} {} {}", schema.name, schema.encoding, crc32fast::hash(&schema.data))
 }
 
+/// Returns a complete file without compression, which the other reader does not know. Its index must be
+/// right.
+#[cfg(feature = "compression")]
+pub(super) fn plain(file: &[u8]) -> Cow<'_, [u8]> {
+    use crate::recompress::{compressed, compressions};
+
+    match compressions(file).iter().all(|name| name.is_empty()) {
+        true => file.into(),
+        false => compressed(file, "").into(),
+    }
+}
+
+#[cfg(not(feature = "compression"))]
+pub(super) fn plain(file: &[u8]) -> Cow<'_, [u8]> {
+    file.into()
+}
+
+/// Records of a chunk without its compression.
+#[cfg(feature = "compression")]
+fn records(content: &[u8]) -> Vec<u8> {
+    let (name, records) = crate::recompress::chunk(content);
+    crate::recompress::decompress(name, records)
+}
+
+#[cfg(not(feature = "compression"))]
+fn records(_content: &[u8]) -> Vec<u8> {
+    unreachable!("a compressed chunk")
+}
+
 /// Topics and types of a complete file, with and without messages.
 pub(super) fn topics(file: &[u8]) -> BTreeSet<String> {
-    let summary = mcap::Summary::read(file).unwrap().unwrap();
+    let summary = mcap::Summary::read(&plain(file)).unwrap().unwrap();
     let topics = summary.channels.values().map(|channel| topic(channel));
     topics.chain(summary.schemas.values().map(|known| schema(known))).collect()
 }
@@ -103,13 +133,15 @@ fn told(error: mcap::McapError) -> String {
 
 /// Reads all messages of a file with a complete end, in their order.
 pub(super) fn messages(file: &[u8]) -> Result<Vec<Message>, String> {
-    let messages = mcap::MessageStream::new(file).map_err(told)?;
+    let file = plain(file);
+    let messages = mcap::MessageStream::new(&file).map_err(told)?;
     messages.map(|message| message.map(Message::new).map_err(told)).collect()
 }
 
 /// Reads all messages of a complete file, in their order. Fails unless the index leads to the
 /// same ones, and the times and counts of the index are right.
 pub(super) fn read(file: &[u8]) -> Result<Vec<Message>, String> {
+    let file = &plain(file);
     let messages = messages(file)?;
     let summary = mcap::Summary::read(file).map_err(told)?.ok_or("no summary")?;
     let mut indexed = Vec::new();
@@ -191,11 +223,23 @@ impl Layout {
                     layout.has_sum = end.data_section_crc != 0 && layout.chunks.is_empty();
                 }
                 Record::Chunk { header, data } => {
-                    let records = place.start + CHUNK_HEAD + data.len();
+                    let head_bytes = CHUNK_HEAD + header.compression.len();
+                    let records = place.start + head_bytes + data.len();
                     layout.chunks.push((place.clone(), records));
-                    let head = place.start..place.start + CHUNK_HEAD;
+                    let head = place.start..place.start + head_bytes;
                     let (mut inner, mut rest) = (head.end, &data[..]);
                     let is_proved = header.uncompressed_crc != 0;
+                    if !header.compression.is_empty() {
+                        // Its records have no places of their own.
+                        let records = self::records(content);
+                        let mut rest = &records[..];
+                        while !rest.is_empty() {
+                            let (kind, content) = split(rest);
+                            rest = &rest[9 + content.len()..];
+                            layout.add(kind, content, vec![place.clone()], &mut messages);
+                        }
+                        continue;
+                    }
                     if !is_proved {
                         layout.unproved.push(place.clone());
                     }

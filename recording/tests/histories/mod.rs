@@ -20,9 +20,9 @@ use std::sync::OnceLock;
 use std::time::Duration;
 
 use tokio_scip::Scan;
-use urg_recording::{Copied, Entry, Recording, RecordingError, cut, repair};
+use urg_recording::{Compression, Copied, Entry, Recording, RecordingError, cut, repair};
 
-use self::file::{Layout, Message, messages, read, topics};
+use self::file::{Layout, Message, messages, plain, read, topics};
 use self::foreign::{bag, grown};
 use self::own::{Own, nanos, own};
 use crate::common::random::{Random, seeds};
@@ -73,7 +73,7 @@ impl File {
         if !random.once_in(3) {
             return Ok(self);
         }
-        let bytes = grown(random, &self.bytes);
+        let bytes = grown(random, &plain(&self.bytes));
         is_so(messages(&bytes)? == self.must, || "grown: another reader".to_owned())?;
         Ok(Self { bytes, has_index: false, ..self })
     }
@@ -106,6 +106,7 @@ enum HistoryInput {
 fn copy(
     inputs: Vec<HistoryInput>,
     range: impl RangeBounds<Duration>,
+    compression: Option<Compression>,
     out: &mut Vec<u8>,
 ) -> Result<Copied, RecordingError> {
     let (mut pipes, mut files) = (Vec::new(), Vec::new());
@@ -115,7 +116,10 @@ fn copy(
             HistoryInput::Disk(file) => files.push(file),
         }
     }
-    if files.is_empty() { cut(pipes, range, out) } else { cut(files, range, out) }
+    match files.is_empty() {
+        true => cut(pipes, range, compression, out),
+        false => cut(files, range, compression, out),
+    }
 }
 
 fn open(input: HistoryInput) -> Result<Recording, RecordingError> {
@@ -312,6 +316,11 @@ impl History {
         }
     }
 
+    /// Draws the compression of a copy, or `None` for that of the inputs.
+    fn compression(&mut self) -> Option<Compression> {
+        (!self.random.once_in(2)).then(|| *self.random.pick(&own::compressions()))
+    }
+
     /// Joins some files in any order.
     fn join(&mut self) -> Result<File, Wrong> {
         let mut files: Vec<File> = self.shelf.clone();
@@ -322,8 +331,10 @@ impl History {
             files.swap(place, self.random.below(place as u64 + 1) as usize);
         }
         let mut out = Vec::new();
-        let outcome =
-            copy(files.iter().map(|file| file.input(self.is_on_disk)).collect(), .., &mut out)?;
+        let outcome = {
+            let inputs = files.iter().map(|file| file.input(self.is_on_disk)).collect();
+            copy(inputs, .., self.compression(), &mut out)?
+        };
         let joined = written(out, (outcome.messages, outcome.scans))?;
         let all = |of: fn(&File) -> &Vec<Message>| -> Vec<Message> {
             files.iter().flat_map(of).cloned().collect()
@@ -344,11 +355,13 @@ impl History {
 
     /// Copies a part of a whole file.
     fn cut(&mut self, place: usize) -> Result<File, Wrong> {
+        let compression = self.compression();
         let file = &self.shelf[place];
         let (from, length) = (self.random.ms(4_000), self.random.ms(10_000));
         let range = from..from + length;
         let mut out = Vec::new();
-        let outcome = copy(vec![file.input(self.is_on_disk)], range.clone(), &mut out)?;
+        let outcome =
+            copy(vec![file.input(self.is_on_disk)], range.clone(), compression, &mut out)?;
         let part = written(out, (outcome.messages, outcome.scans))?;
         let (mut first, mut inside) = (None, Vec::new());
         // Last message before the part of each latched topic and frame.
@@ -399,9 +412,10 @@ impl History {
     }
 
     fn repair(&mut self, place: usize) -> Result<File, Wrong> {
+        let compression = self.compression();
         let file = &self.shelf[place];
         let mut out = Vec::new();
-        let outcome = copy(vec![file.input(self.is_on_disk)], .., &mut out)?;
+        let outcome = copy(vec![file.input(self.is_on_disk)], .., compression, &mut out)?;
         let repaired = written(out, (outcome.messages, outcome.scans))?;
         compare(&repaired.must, &file.must, &file.may, file.is_loose)?;
         is_so(!file.is_complete || repaired.topics == file.topics, || {
@@ -581,7 +595,7 @@ fn each_recorded_scan_is_given_back_once() {
     for (seed, recording) in recordings().iter().enumerate() {
         let mut joined = Vec::new();
         let inputs = recording.files.iter().map(|file| Cursor::new(file.clone()));
-        cut(inputs, .., &mut joined).unwrap();
+        cut(inputs, .., None, &mut joined).unwrap();
         let (found, left_out) = scans(&joined).map_err(|Wrong(text)| text).unwrap();
         // Each reply and each message without one is a scan or counted. So is a message whose reply
         // is counted.

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::time::{Duration, SystemTime};
 
 use tokio_scip::{Rate, Sensor};
-use urg_recording::Recorder;
+use urg_recording::{Compression, Recorder};
 
 use super::file::{Message, read};
 use crate::common::random::Random;
@@ -37,17 +37,22 @@ async fn record(random: &mut Random, seed: u64) -> Own {
     let folder = folder(seed);
     let path = folder.join("run.mcap");
     let (is_split, sink) = (random.once_in(3), Sink::new());
+    let compressions = compressions();
+    let compression = compressions[seed as usize % compressions.len()];
     let keep_bytes = (is_split && random.once_in(2)).then(|| random.below(40_000));
     let mut recorder = match is_split {
         true => {
             let limit = Duration::from_millis(500 + random.below(2000));
-            let builder = Recorder::builder().sync_interval(None).split_duration(limit);
+            let builder = Recorder::builder()
+                .compression(compression)
+                .sync_interval(None)
+                .split_duration(limit);
             match keep_bytes {
                 Some(bytes) => builder.keep_bytes(bytes).create(&path),
                 None => builder.create(&path),
             }
         }
-        false => Recorder::builder().write_to(sink.clone()),
+        false => Recorder::builder().compression(compression).write_to(sink.clone()),
     }
     .unwrap();
     fastrand::seed(seed);
@@ -126,6 +131,12 @@ async fn record(random: &mut Random, seed: u64) -> Own {
         recorded.retain(|stamp| stamps.contains(stamp));
     }
     Own { files, recorded, delivered, is_alone }
+}
+
+/// Compressions that this build writes.
+pub(super) fn compressions() -> Vec<Compression> {
+    let all = [Compression::Plain, Compression::Lz4, Compression::Zstd];
+    all.into_iter().filter(|one| one.is_written()).collect()
 }
 
 /// Creates an empty folder, in memory where the system has one for that.

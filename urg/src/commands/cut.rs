@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use urg_recording::{Copied, cut};
 
+use crate::args::CopyArgs;
 use crate::failure::Failure;
 use crate::format::counted;
 use crate::interrupt::Interrupt;
@@ -25,6 +26,7 @@ use crate::recording::span::RangeArgs;
 Examples:
   urg cut run.mcap part.mcap --range 1:30..2:00
   urg cut run*.mcap whole.mcap
+  urg cut run.mcap small.mcap --compress zstd
   urg cut run.mcap - --range 90s.. | ssh host 'cat > part.mcap'"
 )]
 pub(crate) struct Cut {
@@ -34,15 +36,17 @@ pub(crate) struct Cut {
     files: Vec<PathBuf>,
     #[command(flatten)]
     range: RangeArgs,
+    #[command(flatten)]
+    copy: CopyArgs,
 }
 
 impl Cut {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let Self { mut files, range } = self;
+        let Self { mut files, range, copy } = self;
         let Some(out) = files.pop() else { return Ok(()) };
         let name = out.display().to_string();
-        let bounds = range.bounds();
-        let copy = move |inputs, output: &mut dyn Write| cut(inputs, bounds, output);
+        let (bounds, compression) = (range.bounds(), copy.compression());
+        let copy = move |inputs, output: &mut dyn Write| cut(inputs, bounds, compression, output);
         let is_kept = |copied: &Copied| copied.messages > 0;
         let copied = rewrite(files, &out, interrupt, copy, is_kept).await?;
         let Copied { messages, scans, damaged_parts, was_truncated, .. } = copied;

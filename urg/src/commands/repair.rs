@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use urg_recording::{Copied, cut};
 
+use crate::args::CopyArgs;
 use crate::failure::Failure;
 use crate::format::counted;
 use crate::interrupt::Interrupt;
@@ -29,18 +30,21 @@ pub(crate) struct Repair {
     /// File to create; must not exist yet [default: FILE.repaired.mcap]
     #[arg(value_name = "OUT")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    copy: CopyArgs,
 }
 
 impl Repair {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let Self { file, out } = self;
+        let Self { file, out, copy } = self;
         if out.as_deref().map_or(is_dash(&file), is_dash) {
             let text = "standard input has no name, and the copy must be a file: `urg repair - \
                         whole.mcap` names it";
             return Err(Failure::Usage(text.to_owned()));
         }
         let out = out.unwrap_or_else(|| file.with_extension("repaired.mcap"));
-        let copy = |inputs, output: &mut dyn Write| cut(inputs, .., output);
+        let compression = copy.compression();
+        let copy = move |inputs, output: &mut dyn Write| cut(inputs, .., compression, output);
         let is_kept = |copied: &Copied| {
             copied.messages > 0 && (copied.was_truncated || copied.damaged_parts > 0)
         };

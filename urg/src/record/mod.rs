@@ -17,7 +17,7 @@ use urg_recording::{Recorder, RecorderBuilder, RecordingError, RecordingFile};
 use self::limits::{SplitLimit, sync_interval};
 use self::trigger::trigger;
 use self::writing::{Writing, failure};
-use crate::args::{LinkArgs, PaceArgs, WindowArgs, duration, frame_id};
+use crate::args::{CompressionName, LinkArgs, PaceArgs, WindowArgs, duration, frame_id};
 use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
@@ -87,6 +87,12 @@ pub(crate) struct Record {
     #[arg(long, value_name = "TIME", default_value = "1s", value_parser = sync_interval,
         allow_hyphen_values = true)]
     sync: Duration,
+    /// Compress the file
+    ///
+    /// zstd takes the fewest bytes, lz4 the least CPU time. You lose no more if the
+    /// program is killed or the power fails.
+    #[arg(long, value_name = "NAME", value_enum, default_value_t = CompressionName::None)]
+    compress: CompressionName,
     /// Name of the sensor's coordinate frame, for ROS
     #[arg(long, value_name = "NAME", default_value = "laser", value_parser = frame_id)]
     frame_id: String,
@@ -237,6 +243,7 @@ impl Record {
         }
         builder = builder
             .frame_id(&self.frame_id)
+            .compression(self.compress.into())
             .overwrite(self.force)
             .sync_interval(Some(self.sync).filter(|interval| !interval.is_zero()));
         if let Some(limit) = self.split {

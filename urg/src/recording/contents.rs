@@ -6,9 +6,10 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::time::{Duration, SystemTime};
 
+use bytesize::ByteSize;
 use serde_json::{Value, json};
 use tokio_scip::{BaudRate, Rate, Version, Window};
-use urg_recording::{LeftOut, RecordedScans, Recording, RecordingError};
+use urg_recording::{ChunkBytes, Compression, LeftOut, RecordedScans, Recording, RecordingError};
 
 use super::clock::Clock;
 use crate::format::counted;
@@ -105,6 +106,7 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
         },
         ("complete", json!(complete), end),
     ];
+    rows.push(compression_row(&recorded.chunk_bytes()));
     rows.extend(source_row(&recorded));
     // The row of the clock has those that were set back.
     let faults = [
@@ -134,6 +136,24 @@ fn left_out_row(counts: &[LeftOut]) -> Row {
         counts => counts.iter().map(LeftOut::to_string).collect::<Vec<_>>().join("; "),
     };
     ("left_out", json!(counts), text)
+}
+
+fn compression_row(bytes: &ChunkBytes) -> Row {
+    let ChunkBytes { compressions, stored, plain, .. } = bytes;
+    let compressed = compressions.iter().filter(|name| **name != Compression::Plain);
+    let names: Vec<_> = compressed.map(Compression::to_string).collect();
+    let text = match names[..] {
+        [] => "none".to_owned(),
+        _ => {
+            let share = 100.0 * *stored as f64 / (*plain).max(1) as f64;
+            format!(
+                "{}, to {share:.0} % of {:.1}",
+                names.join(" and "),
+                ByteSize(*plain).display().si()
+            )
+        }
+    };
+    ("compression", json!({ "names": names, "bytes": stored, "plain_bytes": plain }), text)
 }
 
 /// Describes the sensors, if there are several.

@@ -150,7 +150,7 @@ fn open(path: &Path) -> Result<File, Failure> {
 
 /// Reads a file again, to find which one of several cannot be read.
 fn is_readable(path: &Path) -> bool {
-    is_dash(path) || open(path).is_ok_and(|file| cut([file], .., io::sink()).is_ok())
+    is_dash(path) || open(path).is_ok_and(|file| cut([file], .., None, io::sink()).is_ok())
 }
 
 /// Standard input as a file, whose index can be read if it is one.

@@ -23,6 +23,11 @@ pub(super) enum Failure {
     Damaged(&'static str),
 }
 
+/// Returns true for a compression that the format names.
+pub(super) fn is_named(compression: &str) -> bool {
+    matches!(compression, "zstd" | "lz4")
+}
+
 /// Appends the records of a chunk to `out`. `chunk` may be cut off after its head; `out` then has
 /// what could be decompressed.
 pub(super) fn decompress(chunk: &[u8], head: &ChunkHead, out: &mut Vec<u8>) -> Result<(), Failure> {

@@ -11,14 +11,14 @@ mod end;
 use std::collections::VecDeque;
 use std::ops::{Range, RangeInclusive};
 
-use self::decompress::{Failure, decompress};
+use self::decompress::{Failure, decompress, is_named};
 use super::form::{
     ChunkHead, Extent, Kinds, chunk_head, is_known, is_message_index, is_well_formed, next_start,
     outside_chunks,
 };
 use super::input::FileIndex;
 use super::window::Window;
-use super::{Fields, Input, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
+use super::{ChunkBytes, Compression, Fields, Input, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
 use crate::RecordingError;
 
 /// Reason for damage.
@@ -45,6 +45,10 @@ pub(super) struct Sections {
     window: Window,
     /// Records of the latest section if it is a compressed chunk, else empty.
     decompressed: Vec<u8>,
+    /// Bytes of the chunks so far.
+    pub(super) chunk_bytes: ChunkBytes,
+    /// Name of the latest compression that this build does not read.
+    unknown: Option<String>,
     /// Length of the latest section.
     used: usize,
     /// Set once the file is known to have chunks, or none.
@@ -105,7 +109,12 @@ impl Sections {
             return Ok(None);
         }
         self.decompressed.clear();
-        let section = self.section();
+        let mut section = self.section();
+        if matches!(section, Ok(None)) && self.chunk_bytes.compressions.is_empty() {
+            let compression = self.unknown.take();
+            section = compression
+                .map_or(section, |compression| Err(RecordingError::Compressed { compression }));
+        }
         self.is_over = !matches!(section, Ok(Some(_)) | Err(RecordingError::Damaged { .. }));
         section
     }
@@ -289,6 +298,11 @@ impl Sections {
             self.decompress(&head, is_whole)?;
             0..self.decompressed.len()
         };
+        self.chunk_bytes.add(
+            &head.compression,
+            found - head.records.start.min(found),
+            records.len(),
+        );
         // A chunk that is cut short cannot be checked.
         self.is_truncated |= !is_whole;
         let is_proved = is_whole && head.crc != 0;
@@ -302,11 +316,21 @@ impl Sections {
     fn decompress(&mut self, head: &ChunkHead, is_whole: bool) -> Result<(), RecordingError> {
         let chunk = self.window.bytes(0..self.used.min(head.records.end));
         match decompress(chunk, head, &mut self.decompressed) {
-            Err(Failure::Compression) => {
-                Err(RecordingError::Compressed { compression: head.compression.clone() })
-            }
+            Err(Failure::Compression) => Err(self.unknown_compression(&head.compression)),
             Err(Failure::Damaged(reason)) if is_whole => Err(self.damaged(reason)),
             _ => Ok(()),
+        }
+    }
+
+    /// Error of a chunk with a compression that this build does not read. The name may be damaged: then
+    /// no other chunk has it.
+    fn unknown_compression(&mut self, name: &str) -> RecordingError {
+        let is_compressed = |known: &Compression| *known != Compression::Plain;
+        let has_known = self.chunk_bytes.compressions.iter().any(is_compressed);
+        let is_second = self.unknown.replace(name.to_owned()).as_deref() == Some(name);
+        match is_named(name) || is_second && !has_known {
+            true => RecordingError::Compressed { compression: name.to_owned() },
+            false => self.damaged("a chunk has an unknown compression"),
         }
     }
 
