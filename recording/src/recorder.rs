@@ -22,7 +22,7 @@ use tokio_scip::{Error, ReplyObservation, Scan, ScanStream, Sensor};
 /// No method waits for a disk. One thread writes the file, and ends a chunk of it at least
 /// once a second. Another thread makes the system write it to the disk, once a second. If the
 /// process dies or the disk is full, you lose at most one second; if the power fails, at most
-/// two, unless the disk is slower ([`sync_interval`](RecorderBuilder::sync_interval)). The
+/// two, unless the disk is slower ([`sync_interval`](super::RecorderBuilder::sync_interval)). The
 /// [module](super) has an example.
 ///
 /// Dropping a recorder ends the file as [`finish`](Self::finish) does, without
@@ -125,7 +125,7 @@ impl Recorder {
         self.queue.failure().map_or(Ok(()), Err)
     }
 
-    /// Writes what is held [before](RecorderBuilder::before) this call, and from now on every item.
+    /// Writes what is held [before](super::RecorderBuilder::before) this call, and from now on every item.
     /// Does nothing if nothing is held back.
     pub fn trigger(&self) {
         self.queue.release();
