@@ -1,10 +1,12 @@
 //! Bytes, CPU time and memory of compressed recordings, on the paused clock: the emulator's rooms at
 //! 10 and 40 Hz, each recorded by a process of its own.
 //!
-//! `cargo bench -p urg-recording --features zstd --bench compression` takes two minutes.
+//! `cargo bench -p urg-recording --features zstd --bench compression` takes two minutes. `-- levels`
+//! compresses their chunks again, at other levels of zstd, several as one, and without `/scan`.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
+use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
@@ -22,6 +24,9 @@ fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     if let [room, hz, compression] = &arguments[..] {
         return child(room, hz.parse().unwrap(), named(compression));
+    }
+    if arguments.iter().any(|argument| argument == "levels") {
+        return levels();
     }
     println!("room  Hz   compression  bytes a scan  of plain  CPU a scan  of plain  peak memory");
     for room in ["easy", "hard"] {
@@ -57,7 +62,9 @@ fn run(room: &str, hz: &str, compression: Compression) -> [f64; 3] {
 fn child(room: &str, hz: u64, compression: Compression) {
     let mut runtime = tokio::runtime::Builder::new_current_thread();
     let runtime = runtime.enable_time().start_paused(true).build().unwrap();
-    let bytes = runtime.block_on(record(room, hz, compression));
+    let path = std::env::temp_dir().join(format!("compression-{}.mcap", std::process::id()));
+    let bytes = runtime.block_on(record(&path, room, hz, compression));
+    std::fs::remove_file(path).unwrap();
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap();
     let fields: Vec<&str> = stat.rsplit(") ").next().unwrap().split(' ').collect();
     let ticks: f64 = fields[11..13].iter().map(|ticks| ticks.parse::<f64>().unwrap()).sum();
@@ -78,10 +85,84 @@ fn named(name: &str) -> Compression {
     ALL.into_iter().find(|one| one.to_string() == name).unwrap()
 }
 
-async fn record(room: &str, hz: u64, compression: Compression) -> u64 {
-    let path = std::env::temp_dir().join(format!("compression-{}.mcap", std::process::id()));
+/// Records of each chunk of a plain file, in pairs: their channel, or `None` for a definition.
+fn chunks(file: &[u8]) -> Vec<Vec<(Option<u8>, &[u8])>> {
+    let (mut rest, mut chunks) = (&file[8..], Vec::new());
+    while rest.len() > 8 {
+        let (chunk, after) = split(rest);
+        rest = after;
+        if chunk[0] == 0x06 {
+            let (mut records, mut found) = (&chunk[9 + 40..], Vec::new());
+            while !records.is_empty() {
+                let (record, after) = split(records);
+                found.push(((record[0] == 0x05).then_some(record[9]), record));
+                records = after;
+            }
+            chunks.push(found);
+        }
+    }
+    chunks
+}
+
+/// Splits off a record.
+fn split(bytes: &[u8]) -> (&[u8], &[u8]) {
+    bytes.split_at(9 + u64::from_le_bytes(bytes[1..9].try_into().unwrap()) as usize)
+}
+
+fn levels() {
+    println!("room  Hz   chunk  /scan  level  of plain  encoder alone");
+    for (room, hz) in [("easy", 10), ("easy", 40), ("hard", 10), ("hard", 40)] {
+        let mut runtime = tokio::runtime::Builder::new_current_thread();
+        let runtime = runtime.enable_time().start_paused(true).build().unwrap();
+        let path = std::env::temp_dir().join(format!("levels-{}.mcap", std::process::id()));
+        runtime.block_on(record(&path, room, hz, Compression::Plain));
+        let file = std::fs::read(&path).unwrap();
+        std::fs::remove_file(path).unwrap();
+        let chunks = chunks(&file);
+        let all: usize = chunks.iter().flatten().map(|(_, record)| record.len()).sum();
+        for (seconds, has_scan, levels) in [
+            (1, true, &[1, 3, 5][..]),
+            (10, true, &[3, 5]),
+            (60, true, &[3, 5]),
+            (1, false, &[0, 3]),
+        ] {
+            let parts = chunks.chunks(seconds).map(|part| part.iter().flatten());
+            let is_kept = |channel: &Option<u8>| has_scan || *channel != Some(0);
+            let parts = parts.map(|part| part.filter(|(channel, _)| is_kept(channel)));
+            let parts: Vec<Vec<u8>> =
+                parts.map(|part| part.flat_map(|(_, record)| *record).copied().collect()).collect();
+            for level in levels {
+                let (bytes, time) = encoded(&parts, *level);
+                println!(
+                    "{room:<4}  {hz}  {seconds:>4} s  {has_scan:<5}  {level:>5}  {:>8.3}  {:>8.1} us a scan",
+                    bytes as f64 / all as f64,
+                    time.as_secs_f64() * 1e6 / SCANS as f64
+                );
+            }
+        }
+    }
+}
+
+/// CPU time of this thread.
+fn cpu_time() -> Duration {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap();
+    Duration::from_nanos(text.split(' ').next().unwrap().parse().unwrap())
+}
+
+/// Compresses each part at a level, where 0 is none. Returns the bytes, and the CPU time.
+fn encoded(parts: &[Vec<u8>], level: i32) -> (usize, Duration) {
+    let (mut context, began) = (zstd_safe::CCtx::create(), cpu_time());
+    let mut out = vec![0; zstd_safe::compress_bound(parts.iter().map(Vec::len).max().unwrap())];
+    let lengths = parts.iter().map(|part| match level {
+        0 => part.len(),
+        level => context.compress(&mut out[..], part, level).unwrap(),
+    });
+    (lengths.sum(), cpu_time() - began)
+}
+
+async fn record(path: &Path, room: &str, hz: u64, compression: Compression) -> u64 {
     let recorder = Recorder::builder().compression(compression);
-    let mut recorder = recorder.create(&path).unwrap();
+    let mut recorder = recorder.create(path).unwrap();
     let builder = Emulator::builder().pace(Pace::AtOnce).log_capacity(0);
     let builder = builder.revolution(Duration::from_millis(1000 / hz));
     let emulator = match room {
@@ -103,6 +184,5 @@ async fn record(room: &str, hz: u64, compression: Compression) -> u64 {
     sensor.close().await;
     let progress = recorder.finish().await.unwrap();
     assert_eq!((progress.lost, progress.lost_replies), (0, 0));
-    std::fs::remove_file(path).unwrap();
     progress.bytes
 }

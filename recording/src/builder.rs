@@ -126,9 +126,9 @@ impl RecorderBuilder {
     /// takes half a minute on Linux.
     ///
     /// A separate thread syncs, so a slow disk delays neither scans nor streams;
-    /// [`Progress::late_syncs`](super::Progress::late_syncs) counts the syncs that took longer than this. If a sync fails,
-    /// the recording ends. The name of a file is synced when the file is created. Syncs only
-    /// files, not the writers of [`write_to`](Self::write_to).
+    /// [`late_syncs`](super::Progress::late_syncs) counts the syncs that took longer than this. If a
+    /// sync fails, the recording ends. The name of a file is synced when the file is created. Syncs
+    /// only files, not the writers of [`write_to`](Self::write_to).
     pub fn sync_interval(mut self, interval: Option<Duration>) -> Self {
         self.settings.sync_interval = interval;
         self

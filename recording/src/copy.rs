@@ -78,10 +78,10 @@ impl Copied {
 /// small records.
 ///
 /// Blocks the thread, and reads all inputs to their end. Needs memory for the longest chunk of each
-/// input, plus 64 MiB for the index of the copy, plus up to 64 MiB of latched messages, plus the
-/// definitions of message types: up to 64 MiB for each input, and twice for the copy. What does not fit
-/// counts as damage. A copy whose index would be longer has none: its chunks have about a second of
-/// messages, and 768 KiB once the index has 8 MiB.
+/// input, once more if the copy is compressed, 64 MiB for the index of the copy, up to 64 MiB of latched
+/// messages, and the definitions of message types: up to 64 MiB for each input, and twice for the copy.
+/// What does not fit counts as damage. A copy whose index would be longer has none: its chunks have about
+/// a second of messages, and 768 KiB once the index has 8 MiB.
 ///
 /// Definitions that were lost with a damaged part are taken from the index if the input is a
 /// [`File`](std::fs::File). Without it, messages of recordings keep their type, and others have none.

@@ -1,7 +1,7 @@
 """What records while the power is cut: runs inside the machine, on an ext4 disk with its
 defaults, until the host ends the machine. Prints its clock twenty times a second.
 
-`run.mcap` is one file. `split*.mcap` begin every 0.6 s, and `repaired.mcap` is made of
+`run.mcap` is one file. `split*.mcap` are compressed and begin every 0.6 s, and `repaired.mcap` is made of
 `cut.mcap` again and again, so that some cuts hit these moments."""
 
 import pathlib
@@ -41,7 +41,7 @@ joined = (DISK / "joined.mcap").read_bytes()
 (DISK / "joined.mcap").unlink()
 subprocess.run(["sync"], check=True)
 start(f"record {port} {DISK}/run.mcap")
-start(f"record emulated {DISK}/split.mcap --split 30kB")
+start(f"record emulated {DISK}/split.mcap --split 30kB --compress lz4")
 # The first scans are written.
 while not (DISK / "split_0003.mcap").exists() or size("run.mcap") < 20_000:
     time.sleep(0.05)
