@@ -1,7 +1,7 @@
-//! An async driver for Hokuyo URG laser range sensors that speak SCIP 1.1.
+//! An async driver for Hokuyo's laser range scanners, in SCIP 1.1 and SCIP 2.
 //!
-//! A URG turns ten times a second. In each revolution it measures distances of 20 mm to 4 m in 682
-//! directions, over about 240 degrees. Your service awaits a stream of its scans. The driver polls
+//! A URG-04LX turns ten times a second, a UST-10LX 40 times. In each revolution it measures the
+//! distances in 682 or 1,081 directions. Your service awaits a stream of its scans. The driver polls
 //! the sensor, checks each scan against its request, and reconnects after a lost link.
 //!
 //! ```
@@ -30,9 +30,10 @@
 //! # }
 //! ```
 //!
-//! This runs without hardware, on the emulated sensor of the crate `urg-emulator`. The URG-04LX and
-//! its contemporaries speak SCIP 1.1. Later models (UTM-30LX, UST-10LX) know only SCIP 2: opening
-//! one fails with [`ErrorKind::WrongProtocol`].
+//! This runs without hardware, on the emulated sensor of the crate `urg-emulator`. The driver finds out
+//! which protocol a sensor speaks: the URG-04LX and its contemporaries SCIP 1.1, later models
+//! (UTM-30LX, UST-10LX) SCIP 2. [`Sensor::geometry`] tells what it measures. In SCIP 2 the driver asks
+//! for each scan (`GD`); intensities and the sensor's time stamps are not supported yet.
 //!
 //! # Where to find what
 //!

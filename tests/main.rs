@@ -19,4 +19,5 @@ mod ports;
 mod poses;
 mod properties;
 mod protocol;
+mod scip2;
 mod simulation;

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use super::observers::ReplyObservers;
 use crate::BaudRate;
-use crate::protocol::Text;
+use crate::protocol::{Protocol, Text};
 
 /// Interval of probes on a link that can fail silently
 /// ([`PortHints::can_die_silently`](crate::port::PortHints::can_die_silently)). With the
@@ -40,6 +40,8 @@ pub(crate) struct Config {
     /// Name of the sensor in logs and errors.
     pub(crate) name: Option<Arc<str>>,
     pub(crate) baud_rate: Option<BaudRate>,
+    /// Protocol to speak, unless it is the sensor's choice.
+    pub(crate) protocol: Option<Protocol>,
     pub(crate) open_timeout: Duration,
     pub(crate) request_timeout: Duration,
     pub(crate) wait_for_sensor: bool,
@@ -59,6 +61,7 @@ impl Default for Config {
         Self {
             name: None,
             baud_rate: None,
+            protocol: None,
             open_timeout: Duration::from_secs(5),
             request_timeout: Duration::from_secs(5),
             wait_for_sensor: false,

@@ -132,11 +132,12 @@ impl Opener {
         port: Box<dyn Port>,
         laser: Option<bool>,
     ) -> Result<Session, LinkError> {
-        let leftovers = std::mem::take(&mut self.leftovers);
+        let leftovers = std::mem::replace(&mut self.leftovers, Leftovers::unknown());
         let reply_latency = self.config.reply_latency;
         let observers = Arc::clone(&self.config.observers);
         let shared = Arc::clone(&self.shared);
-        let mut session = Session::new(port, reply_latency, leftovers, observers, shared);
+        let wanted = self.config.protocol;
+        let mut session = Session::new(port, reply_latency, wanted, leftovers, observers, shared);
         match self.find(&mut session, laser, self.config.open_timeout).await {
             Ok(()) => Ok(session),
             Err(failure) => {
@@ -180,7 +181,7 @@ impl Opener {
     /// Accepts the sensor, now that it has the service's settings. From now on expects no
     /// other sensor.
     fn accept(&mut self, identity: Identity) {
-        let Identity { reply, is_serial_number_confirmed, motor_speed } = identity;
+        let Identity { reply, is_serial_number_confirmed, motor_speed, geometry } = identity;
         let now = &reply.version.serial_number;
         if is_serial_number_confirmed && !self.config.any_sensor {
             self.identity.get_or_insert_with(|| now.clone());
@@ -200,7 +201,7 @@ impl Opener {
                 Some(MotorSpeed::Untold) | None => REVOLUTION,
             };
         }
-        self.shared.link.set_version(reply);
+        self.shared.link.set_identity(reply, geometry);
         if let Some(hints) = self.connect.hints() {
             hints.found();
         }

@@ -16,7 +16,6 @@ const SPANS_BETWEEN_REPORTS: u32 = 20;
 /// Measures the achieved rate, span by span.
 #[derive(Debug)]
 pub(crate) struct RateMeter {
-    window: Window,
     rate: Rate,
     since: Instant,
     scans: u32,
@@ -44,9 +43,8 @@ pub(crate) struct Span {
 }
 
 impl RateMeter {
-    pub(crate) fn new(window: Window, rate: Rate, now: Instant) -> Self {
+    pub(crate) fn new(rate: Rate, now: Instant) -> Self {
         Self {
-            window,
             rate,
             since: now,
             scans: 0,
@@ -73,10 +71,11 @@ impl RateMeter {
         self.failures += 1;
     }
 
-    /// Ends the span if it is over, and returns it. `baud_rate` is the line's, if it has one.
+    /// Ends the span of polls of `window` if it is over, and returns it. `baud_rate` is the line's, if it has one.
     pub(crate) fn finish_span(
         &mut self,
         now: Instant,
+        window: Window,
         baud_rate: Option<BaudRate>,
     ) -> Option<Span> {
         let span = now.saturating_duration_since(self.since);
@@ -86,7 +85,7 @@ impl RateMeter {
         let reached = f64::from(self.scans) / span.as_secs_f64();
         let shortfall = match self.failures {
             _ if self.rate.is_reached_by(reached) => None,
-            0 => self.slowness(baud_rate),
+            0 => self.slowness(window, baud_rate),
             _ => Some(Shortfall::Loss),
         };
         self.span = Some(Span { reached, failed: self.failures, shortfall, baud_rate });
@@ -96,8 +95,8 @@ impl RateMeter {
 
     /// Returns what is too slow, even for the quickest reply: the line if the rate could be reached
     /// without it, or if it takes longer than the sensor.
-    fn slowness(&self, baud_rate: Option<BaudRate>) -> Option<Shortfall> {
-        let wire_time = baud_rate.map(|baud_rate| self.window.wire_time(baud_rate));
+    fn slowness(&self, window: Window, baud_rate: Option<BaudRate>) -> Option<Shortfall> {
+        let wire_time = baud_rate.map(|baud_rate| window.wire_time(baud_rate));
         let wire_time = wire_time.unwrap_or_default();
         let can_reach = |each: Duration| self.rate.is_reached_by(1.0 / each.as_secs_f64());
         let without_line = self.quickest.saturating_sub(wire_time).max(self.revolution);
@@ -140,8 +139,12 @@ impl RateMeter {
 mod tests {
     use super::*;
 
+    fn window() -> Window {
+        Window::new(0..=384).unwrap()
+    }
+
     fn at(rate: Rate) -> RateMeter {
-        RateMeter::new(Window::new(0..=384).unwrap(), rate, Instant::now())
+        RateMeter::new(rate, Instant::now())
     }
 
     #[test]
@@ -177,14 +180,14 @@ mod tests {
             (0..scans).for_each(|_| meter.count_scan(took, revolution));
             (0..failures).for_each(|_| meter.count_failure());
             let since = meter.since;
-            assert_eq!(meter.finish_span(since + Duration::from_millis(2999), usb), None);
-            let span = meter.finish_span(since + RATE_SPAN, baud_rate).unwrap();
+            assert_eq!(meter.finish_span(since + Duration::from_millis(2999), window(), usb), None);
+            let span = meter.finish_span(since + RATE_SPAN, window(), baud_rate).unwrap();
             assert_eq!(span.shortfall, expected, "{scans} {took:?} {failures}");
             assert_eq!(span.failed, failures);
         }
         let mut faster = at(Rate::hz(20.0));
         (0..30).for_each(|_| faster.count_scan(quick, revolution));
-        let span = faster.finish_span(faster.since + RATE_SPAN, fast_line).unwrap();
+        let span = faster.finish_span(faster.since + RATE_SPAN, window(), fast_line).unwrap();
         assert_eq!(span.shortfall, Some(Shortfall::Sensor), "the motor turns no faster");
     }
 }

@@ -4,7 +4,7 @@ use std::time::SystemTime;
 
 use tokio::time::Instant;
 
-use crate::protocol::Command;
+use crate::protocol::{Command, Protocol};
 
 /// Frame that the sensor sent after a command. The observers of
 /// [`SensorBuilder::on_reply`](crate::SensorBuilder::on_reply) and
@@ -13,8 +13,11 @@ use crate::protocol::Command;
 #[derive(Debug, Clone, Copy)]
 #[non_exhaustive]
 pub struct RawReply<'a> {
-    /// Command that the frame answers, even if the reply is malformed. `None` for the reply
-    /// to a fence and for a frame with another echo.
+    /// Protocol in which the driver asked. In [`Protocol::Scip2`] the frame begins with the whole
+    /// request.
+    pub protocol: Protocol,
+    /// Command of SCIP 1.1 that the frame answers, even if the reply is malformed. `None` for the
+    /// reply to a fence and for a frame with another echo.
     pub command: Option<Command>,
     /// Bytes as received, without the two LFs at the end and without NULs at the front.
     pub bytes: &'a [u8],

@@ -11,7 +11,7 @@ use tokio::time::{Instant, sleep_until};
 use crate::protocol::Version;
 use crate::ring::Cursor;
 use crate::state::LinkState;
-use crate::{BaudRate, ErrorKind, Rate, Scan, Window};
+use crate::{BaudRate, ErrorKind, Geometry, Rate, Scan, Window};
 
 /// Sender for the answer to a request.
 pub(crate) type Responder<T> = oneshot::Sender<Result<T, ErrorKind>>;
@@ -20,6 +20,7 @@ pub(crate) type Responder<T> = oneshot::Sender<Result<T, ErrorKind>>;
 #[derive(Debug)]
 pub(crate) enum Request {
     Version(Responder<Version>),
+    Geometry(Responder<Geometry>),
     Laser {
         on: bool,
         responder: Responder<()>,
@@ -48,6 +49,7 @@ impl Request {
     fn is_abandoned(&self) -> bool {
         match self {
             Self::Version(responder) => responder.is_closed(),
+            Self::Geometry(responder) => responder.is_closed(),
             Self::Laser { responder, .. }
             | Self::BaudRate { responder, .. }
             | Self::Close(responder) => responder.is_closed(),
@@ -61,6 +63,7 @@ impl Request {
         // Drops the answer if no caller waits for it.
         match self {
             Self::Version(responder) => drop(responder.send(Err(error))),
+            Self::Geometry(responder) => drop(responder.send(Err(error))),
             Self::Laser { responder, .. }
             | Self::BaudRate { responder, .. }
             | Self::Close(responder) => drop(responder.send(Err(error))),

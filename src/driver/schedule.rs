@@ -15,7 +15,11 @@ use crate::ring::{Cursor, Ring};
 use crate::scan::Scan;
 use crate::state::Counters;
 use crate::stats::ScheduleStats;
-use crate::{BaudRate, Error, ErrorKind, Rate, Window};
+use crate::{BaudRate, Error, ErrorKind, Geometry, Rate, Window};
+
+/// Fraction of a revolution, before and after which a new scan is expected, at
+/// [`Rate::UNLIMITED`]: it costs at most one more poll a scan.
+const BEAT_SHARE: u32 = 16;
 
 /// All schedules of a driver.
 #[derive(Debug, Default)]
@@ -30,13 +34,18 @@ pub(crate) struct Schedules {
 /// One window at one rate, for all streams that want it.
 #[derive(Debug)]
 struct Schedule {
+    /// In the steps of the sensor that was last found.
     window: Window,
     rate: Rate,
+    /// True unless this sensor cannot measure the window.
+    is_measured: bool,
     ring: Arc<Ring>,
     /// Next grid point. At [`Rate::UNLIMITED`], the end of the last poll.
     due: Instant,
     /// Number of scans that readers had missed by the latest one.
     missed: u64,
+    /// Latest scan, at [`Rate::UNLIMITED`] from a sensor that tells its clock.
+    latest: Option<Box<Scan>>,
     /// Kind of the last error since the last scan.
     condition: Option<Discriminant<ErrorKind>>,
     speed: RateMeter,
@@ -47,6 +56,8 @@ struct Schedule {
 pub(crate) struct DuePoll {
     pub(crate) window: Window,
     pub(crate) rate: Rate,
+    /// True unless this sensor cannot measure the window.
+    pub(crate) is_measured: bool,
 }
 
 /// What the end of a poll changed.
@@ -63,19 +74,23 @@ pub(crate) struct Ended {
 impl Schedules {
     /// Returns a reader of the scans of `window` at `rate`, starting with the next one.
     /// Equal subscriptions share a schedule. Reports `trouble` to a new schedule only: an
-    /// existing one has already told its readers.
+    /// existing one has already told its readers. `geometry` is the sensor's, if there is a link.
     pub(crate) fn subscribe(
         &mut self,
         window: Window,
         rate: Rate,
         depth: usize,
         trouble: Option<&Error>,
+        geometry: Option<&Geometry>,
     ) -> Cursor {
         self.drop_unread();
-        if let Some(schedule) = self.find(window, rate) {
+        if let Some(schedule) = find(&mut self.all, window, rate) {
             return schedule.ring.subscribe(depth);
         }
         let mut schedule = Schedule::new(window, rate);
+        if let Some(geometry) = geometry {
+            schedule.resolve(geometry);
+        }
         if let Some(error) = trouble {
             schedule.report(error);
         }
@@ -85,6 +100,11 @@ impl Schedules {
         self.all.push(schedule);
         self.changed = true;
         reader
+    }
+
+    /// Resolves all windows for a sensor that was just found.
+    pub(crate) fn resolve(&mut self, geometry: &Geometry) {
+        self.all.iter_mut().for_each(|schedule| schedule.resolve(geometry));
     }
 
     /// Resumes polling. Does not count the grid points missed meanwhile as skipped, and
@@ -119,7 +139,8 @@ impl Schedules {
             // Readers own the ring, too. Cheaper than to count them.
             if Arc::strong_count(&schedule.ring) > 1 {
                 let skipped = schedule.advance(now);
-                return Some((DuePoll { window: schedule.window, rate: schedule.rate }, skipped));
+                let Schedule { window, rate, is_measured, .. } = *schedule;
+                return Some((DuePoll { window, rate, is_measured }, skipped));
             }
             self.drop_unread();
         }
@@ -132,36 +153,35 @@ impl Schedules {
         scan: Scan,
         baud_rate: Option<BaudRate>,
     ) -> Ended {
-        let Some(schedule) = self.find(poll.window, poll.rate) else { return Ended::default() };
+        let Self { all, missed, changed } = self;
+        let Some(schedule) = find(all, poll.window, poll.rate) else { return Ended::default() };
         schedule.condition = None;
+        let mut due = None;
+        if poll.rate.period().is_none() && scan.meta.sensor_clock.is_some() {
+            let (next, is_known) = schedule.follow_beat(&scan);
+            due = Some(next);
+            if is_known {
+                let falls_short = schedule.end_poll(baud_rate, due, changed);
+                return Ended { falls_short, ..Ended::default() };
+            }
+        }
         let latency = scan.received_at().saturating_duration_since(scan.meta.requested_at);
         schedule.speed.count_scan(latency, scan.scan_time());
-        let (repeats, missed) = schedule.ring.push(scan);
-        let newly_missed = missed - std::mem::replace(&mut schedule.missed, missed);
-        self.missed += newly_missed;
-        Ended { repeats, newly_missed, falls_short: self.end_poll(poll, baud_rate) }
+        let (repeats, now_missed) = schedule.ring.push(scan);
+        let newly_missed = now_missed - std::mem::replace(&mut schedule.missed, now_missed);
+        *missed += newly_missed;
+        let falls_short = schedule.end_poll(baud_rate, due, changed);
+        Ended { repeats, newly_missed, falls_short }
     }
 
-    /// Reports the error of one poll.
-    pub(crate) fn fail(&mut self, poll: DuePoll, error: &Error) -> Ended {
-        let Some(schedule) = self.find(poll.window, poll.rate) else { return Ended::default() };
+    /// Reports the error of one poll. At [`Rate::UNLIMITED`] the next one is due at `again`.
+    pub(crate) fn fail(&mut self, poll: DuePoll, error: &Error, again: Instant) -> Ended {
+        let Self { all, changed, .. } = self;
+        let Some(schedule) = find(all, poll.window, poll.rate) else { return Ended::default() };
         schedule.report(error);
         schedule.speed.count_failure();
-        Ended { falls_short: self.end_poll(poll, None), ..Ended::default() }
-    }
-
-    /// Ends a poll, and returns true if the rate falls short and that is news. At [`Rate::UNLIMITED`]
-    /// the next poll is due now.
-    fn end_poll(&mut self, poll: DuePoll, baud_rate: Option<BaudRate>) -> bool {
-        let now = Instant::now();
-        let Some(schedule) = self.find(poll.window, poll.rate) else { return false };
-        if poll.rate.period().is_none() {
-            schedule.due = now;
-        }
-        let span = schedule.speed.finish_span(now, baud_rate);
-        let is_news = span.is_some_and(|span| schedule.speed.is_news(span));
-        self.changed |= span.is_some();
-        is_news
+        let falls_short = schedule.end_poll(None, Some(again), changed);
+        Ended { falls_short, ..Ended::default() }
     }
 
     /// Reports a lost link to all streams.
@@ -189,7 +209,7 @@ impl Schedules {
 
     /// Requested and achieved rate of a schedule.
     pub(crate) fn stats(&mut self, poll: DuePoll) -> Option<ScheduleStats> {
-        self.find(poll.window, poll.rate).map(|schedule| schedule.stats())
+        find(&mut self.all, poll.window, poll.rate).map(|schedule| schedule.stats())
     }
 
     /// Number of scans overwritten before a consumer read them, as of each schedule's
@@ -217,11 +237,11 @@ impl Schedules {
             read
         });
     }
+}
 
-    #[inline(never)]
-    fn find(&mut self, window: Window, rate: Rate) -> Option<&mut Schedule> {
-        self.all.iter_mut().find(|schedule| schedule.window == window && schedule.rate == rate)
-    }
+#[inline(never)]
+fn find(all: &mut [Schedule], window: Window, rate: Rate) -> Option<&mut Schedule> {
+    all.iter_mut().find(|schedule| schedule.rate == rate && schedule.window.is_same_wish(&window))
 }
 
 impl Schedule {
@@ -230,11 +250,13 @@ impl Schedule {
         Self {
             window,
             rate,
+            is_measured: true,
             ring: Ring::new(),
             due: now,
             missed: 0,
+            latest: None,
             condition: None,
-            speed: RateMeter::new(window, rate, now),
+            speed: RateMeter::new(rate, now),
         }
     }
 
@@ -262,6 +284,45 @@ impl Schedule {
         let skipped = (late / period) as u64;
         self.due += Duration::from_nanos((period * u128::from(skipped)) as u64);
         skipped
+    }
+
+    fn resolve(&mut self, geometry: &Geometry) {
+        let resolved = self.window.resolve(geometry);
+        self.is_measured = resolved.is_ok();
+        self.window = resolved.unwrap_or(self.window);
+    }
+
+    /// Ends a poll, and returns true if the rate falls short and that is news. At [`Rate::UNLIMITED`]
+    /// the next poll is due at `due`, or now. Sets `changed` if the statistics have changed.
+    fn end_poll(
+        &mut self,
+        baud_rate: Option<BaudRate>,
+        due: Option<Instant>,
+        changed: &mut bool,
+    ) -> bool {
+        let now = Instant::now();
+        if self.rate.period().is_none() {
+            self.due = due.unwrap_or(now).max(now);
+        }
+        let span = self.speed.finish_span(now, self.window, baud_rate);
+        *changed |= span.is_some();
+        span.is_some_and(|span| self.speed.is_news(span))
+    }
+
+    /// Follows the beat of a sensor that answers at once, with the scan that it has: returns a time
+    /// shortly before it has the next one, or a little later if this scan is already known. Returns
+    /// true if it is. Its clock may have stopped.
+    #[inline(never)]
+    fn follow_beat(&mut self, scan: &Scan) -> (Instant, bool) {
+        let (requested_at, revolution) = (scan.meta.requested_at, scan.scan_time());
+        let is_known = self.latest.as_ref().is_some_and(|latest| {
+            scan.is_same_as(latest) && requested_at < latest.meta.requested_at + 2 * revolution
+        });
+        if !is_known {
+            self.latest = Some(Box::new(scan.clone()));
+        }
+        let share = revolution / BEAT_SHARE;
+        (requested_at + if is_known { share } else { revolution - share }, is_known)
     }
 
     /// Number of scans that readers missed since the last call.

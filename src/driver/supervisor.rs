@@ -24,7 +24,7 @@ use super::session::Session;
 use super::transport::Timer;
 use crate::port::AnyConnect;
 use crate::state::{Shared, State};
-use crate::{Error, ErrorChain, ErrorKind};
+use crate::{Error, ErrorChain, ErrorKind, Geometry, Operation};
 
 /// Runs the whole driver: opens a session, serves it, and replaces it when it is lost.
 pub(crate) struct Supervisor {
@@ -129,6 +129,8 @@ impl Supervisor {
         let serial_number = self.opener.serial_number();
         self.shared.enter(State::Connected { baud_rate, streaming: false, serial_number });
         let scan_time = self.opener.scan_time();
+        // The sensor was identified when it was found.
+        let geometry = self.shared.link.geometry().unwrap_or(Geometry::URG_04LX);
         let probe_interval = self.config.idle_probe.interval(session.can_die_silently());
         let reconnects = self.shared.counters.stats().reconnects;
         let (laser, baud_rate) = self.opener.settings();
@@ -139,8 +141,9 @@ impl Supervisor {
             schedules: &mut self.offline.schedules,
             shared: &self.shared,
             scan_time,
+            geometry,
             probe_interval,
-            motor_clock: session.delivers_intact().then(|| MotorClock::new(scan_time)),
+            motor_clock: session.shows_motor().then(|| MotorClock::new(scan_time)),
             ray_order: RayOrder::default(),
             reconnects,
             streaming: false,
@@ -167,7 +170,10 @@ impl Supervisor {
             // Give up only if the error repeats: udev may not have set the owner of a new
             // port yet. The wrong sensor may still be replaced by the right one.
             let again = latest.is_some_and(|last| discriminant(&last) == discriminant(&kind));
-            let may_pass = kind.is_transient() || matches!(kind, ErrorKind::AnotherSensor { .. });
+            // A sensor that was just switched on may refuse to tell what it is.
+            let may_pass = kind.is_transient()
+                || matches!(kind, ErrorKind::AnotherSensor { .. })
+                || matches!(kind, ErrorKind::Refused { operation: Operation::Identify, .. });
             if !self.config.wait_for_sensor || again && !may_pass {
                 return Err(LinkError::Lost(kind).into());
             }
@@ -259,7 +265,7 @@ impl OfflineQueue {
                 done = &mut work => return Ok(done),
                 request = self.queue.next_unlinked(&self.shared.link) => match request {
                     Ok(Unlinked::Subscribe { window, rate, depth, responder }) => {
-                        let stream = self.schedules.subscribe(window, rate, depth, trouble);
+                        let stream = self.schedules.subscribe(window, rate, depth, trouble, None);
                         // Drops the stream if no caller waits for it.
                         let _ = responder.send(Ok(stream));
                     }

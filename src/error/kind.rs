@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::Operation;
-use crate::protocol::{BaudRate, MalformedError, Text};
+use crate::protocol::{BaudRate, MalformedError, Protocol, Text};
 
 /// What failed, as [`Error::kind`](crate::Error::kind) returns it.
 ///
@@ -82,13 +82,14 @@ pub enum ErrorKind {
     },
     /// The port sends back what the driver writes to it.
     Loopback,
-    /// The sensor speaks SCIP 2.
+    /// The sensor does not speak the protocol that you asked for with
+    /// [`SensorBuilder::protocol`](crate::SensorBuilder::protocol).
     #[non_exhaustive]
     WrongProtocol {
-        /// Status line of three characters, which only SCIP 2 has.
+        /// Protocol that you asked for.
+        expected: Protocol,
+        /// Status of the sensor's answer, which belongs to the other protocol.
         status: Text,
-        /// Model of the sensor, if it answered `VV` of SCIP 2.
-        model: Option<Text>,
     },
     /// A sensor other than the expected one answered.
     #[non_exhaustive]
@@ -265,20 +266,14 @@ impl fmt::Display for Sentence<'_> {
                 f,
                 "{sensor} returns what is written to it, as a loopback plug, a terminal with echo or crossed wires do: connect a sensor to the port"
             ),
-            ErrorKind::WrongProtocol { status, model } => match model {
-                None => write!(
-                    f,
-                    "{sensor} speaks SCIP 2 (status \"{status}\"): power-cycle it to return a URG-04LX to SCIP 1.1; models that know only SCIP 2 are not supported"
-                ),
-                Some(model) if is_urg_04lx(model) => write!(
-                    f,
-                    "{sensor}, {model}, was switched to SCIP 2: power-cycle it to return it to SCIP 1.1"
-                ),
-                Some(model) => write!(
-                    f,
-                    "{sensor}, {model}, knows only SCIP 2, which is not supported: connect a sensor of SCIP 1.1, such as the URG-04LX"
-                ),
-            },
+            ErrorKind::WrongProtocol { expected: Protocol::Scip1, status } => write!(
+                f,
+                "{sensor} speaks SCIP 2 (status \"{status}\"), and you asked for SCIP 1.1: ask for no protocol, or power-cycle a URG-04LX to return it to SCIP 1.1"
+            ),
+            ErrorKind::WrongProtocol { expected: Protocol::Scip2, status } => write!(
+                f,
+                "{sensor} speaks SCIP 1.1 (status \"{status}\"), and you asked for SCIP 2: ask for no protocol"
+            ),
             ErrorKind::AnotherSensor { expected, found } => write!(
                 f,
                 "{sensor} has the wrong serial number: expected {expected}, found {found}: plug in {expected}, or ask for {found}"
@@ -334,9 +329,4 @@ impl fmt::Display for Sentence<'_> {
             ErrorKind::Other { source } => source.fmt(f),
         }
     }
-}
-/// Returns true for the classic URG-04LX, whose successors (URG-04LX-UG01) know only SCIP 2.
-fn is_urg_04lx(model: &Text) -> bool {
-    let is_part = |c: char| c.is_ascii_alphanumeric() || c == '-';
-    model.to_string().split(|c| !is_part(c)).any(|word| word == "URG-04LX")
 }

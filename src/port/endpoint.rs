@@ -13,6 +13,7 @@ use crate::{BaudRate, Error, ErrorKind};
 /// |---|---|
 /// | `/dev/ttyACM0`, `COM3` | a serial port of this machine; names below `/dev/serial/by-path` stay the same when a sensor is plugged in again |
 /// | `serial:H0713090` | the sensor with this serial number (`SERI:`), on whichever USB port it is |
+/// | `tcp://192.168.0.10` | a sensor on Ethernet, at its TCP port 10940 |
 /// | `tcp://bridge:4001` | a raw TCP bridge to a serial port at 19,200 baud |
 /// | `tcp://[fe80::1%eth0]:4001?baud=115200` | the same by IPv6, with a port at 115,200 baud |
 ///
@@ -32,7 +33,7 @@ use crate::{BaudRate, Error, ErrorKind};
 ///     endpoint,
 ///     Endpoint::Tcp { host: "bridge".to_owned(), port: 4001, baud_rate: BaudRate::B57600 },
 /// );
-/// assert!("tcp://bridge".parse::<Endpoint>().is_err(), "which port?");
+/// assert!("tcp://bridge:".parse::<Endpoint>().is_err(), "which port?");
 /// # Ok::<(), tokio_scip::Error>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -49,17 +50,20 @@ pub enum Endpoint {
     /// Sensor with this serial number, on any port with the USB id of URG sensors. Skips busy
     /// ports.
     SerialNumber(String),
-    /// TCP server that passes bytes to and from a sensor unchanged.
+    /// Sensor on Ethernet, or a TCP server that passes bytes to and from a sensor unchanged.
     Tcp {
         /// Host name or address; IPv6 without brackets.
         host: String,
         /// TCP port.
         port: u16,
-        /// Baud rate of the serial line behind the server. You cannot change it from here.
+        /// Baud rate of the serial line that the server leads to. You cannot change it from here, and
+        /// a sensor on Ethernet has none.
         baud_rate: BaudRate,
     },
 }
 
+/// TCP port of sensors on Ethernet.
+const SENSOR_PORT: &str = "10940";
 /// Baud rate of a bridge's line if its address has none: the baud rate of a sensor after power-up.
 const DEFAULT_BRIDGE_BAUD_RATE: BaudRate = BaudRate::B19200;
 
@@ -224,10 +228,14 @@ fn parse_tcp(address: &str) -> Parsed {
             if address.parse::<Ipv6Addr>().is_err() || zone.is_empty() {
                 return Err("expected an IPv6 address in the brackets, as in tcp://[::1]:4001");
             }
-            (host, rest.strip_prefix(':').ok_or(MISSING_PORT)?)
+            let port = match rest {
+                "" => SENSOR_PORT,
+                rest => rest.strip_prefix(':').ok_or(MISSING_PORT)?,
+            };
+            (host, port)
         }
         None => {
-            let (host, port) = authority.rsplit_once(':').ok_or(MISSING_PORT)?;
+            let (host, port) = authority.rsplit_once(':').unwrap_or((authority, SENSOR_PORT));
             if host.contains(':') {
                 return Err("expected brackets around the IPv6 address, as in tcp://[::1]:4001");
             }

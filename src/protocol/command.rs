@@ -4,6 +4,7 @@ use std::fmt;
 use std::ops::Deref;
 use std::time::Duration;
 
+use super::window::LAST;
 use super::{BaudRate, Window};
 
 /// Reserved digits of `S`: echoed, without effect on the sensor (p. 5).
@@ -120,11 +121,12 @@ impl Deref for CommandBytes {
     }
 }
 
-/// Encodes a `G`.
+/// Encodes a `G`. The window of a scan of another sensor may end after the last step of a `G`: the
+/// command then asks for fewer points, and no reply to it fits.
 #[inline(never)]
 fn distances(window: &Window) -> [u8; 9] {
-    let [a, b, c] = digits(window.start());
-    let [d, e, f] = digits(window.end());
+    let [a, b, c] = digits(window.start().min(LAST));
+    let [d, e, f] = digits(window.end().min(LAST));
     let [g, h] = digits(u16::from(window.cluster_count()));
     [b'G', a, b, c, d, e, f, g, h]
 }

@@ -1,8 +1,12 @@
 //! [`Geometry`]: the directions and distances that a sensor measures, and what its values mean.
 
 use std::ops::RangeInclusive;
+use std::time::Duration;
 
-use super::{ErrorCode, Measurement};
+use super::{Codes, ErrorCode, Measurement};
+
+/// Half micro-degrees in a revolution.
+const HALVES: i64 = 720_000_000;
 
 /// Directions and distances that a sensor measures, and the meaning of its values.
 ///
@@ -13,12 +17,17 @@ use super::{ErrorCode, Measurement};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct Geometry {
-    steps_per_revolution: u16,
-    first_step: u16,
-    last_step: u16,
-    front_step: u16,
-    min_distance: u32,
-    max_distance: u32,
+    pub(super) steps_per_revolution: u16,
+    pub(super) first_step: u16,
+    pub(super) last_step: u16,
+    pub(super) front_step: u16,
+    pub(super) min_distance: u32,
+    pub(super) max_distance: u32,
+    #[cfg_attr(feature = "serde", serde(skip))]
+    pub(super) motor_speed: u16,
+    /// Values that are no distance. `None` stands for SCIP 1.1.
+    #[cfg_attr(feature = "serde", serde(skip))]
+    pub(super) codes: Option<Codes>,
 }
 
 impl Geometry {
@@ -31,6 +40,8 @@ impl Geometry {
         front_step: 384,
         min_distance: 20,
         max_distance: 4094,
+        motor_speed: 600,
+        codes: None,
     };
 
     /// Number of steps in a full revolution of the motor.
@@ -49,16 +60,25 @@ impl Geometry {
         self.min_distance..=self.max_distance
     }
 
+    /// Nominal time of a revolution of the motor: 100 ms for a URG-04LX.
+    pub fn revolution(&self) -> Duration {
+        Duration::from_secs(60) / u32::from(self.motor_speed.max(1))
+    }
+
     /// Direction of a step in degrees, counter-clockwise from the front.
     pub fn degrees(&self, step: u16) -> f32 {
         self.angle(step.into()).to_degrees() as f32
     }
 
-    /// Interprets a value that the sensor sent.
+    /// Interprets a value that the sensor sent. Only a value in [`distances`](Self::distances) is a
+    /// distance, and not if it is an error code of the model.
     pub const fn measurement(&self, value: u32) -> Measurement {
-        match ErrorCode::from_value(value) {
+        match ErrorCode::from_value(value, self.codes) {
             Some(code) => Measurement::Error(code),
-            None if value > self.max_distance => Measurement::Saturated,
+            None if value > self.max_distance => Measurement::Saturated(value),
+            None if value < self.min_distance => {
+                Measurement::Error(ErrorCode::too_small(value, self.codes))
+            }
             None => Measurement::Distance(value),
         }
     }
@@ -73,8 +93,27 @@ impl Geometry {
         (step - f64::from(self.front_step)) * self.step_angle()
     }
 
-    /// Number of a (possibly half) step in a direction in degrees.
-    pub(crate) fn step_at(&self, degrees: f64) -> f64 {
-        degrees / 360.0 * f64::from(self.steps_per_revolution) + f64::from(self.front_step)
+    /// Returns true if values have at most 12 bits, as in SCIP 1.1.
+    pub(crate) const fn has_short_values(&self) -> bool {
+        self.codes.is_none()
+    }
+
+    /// Steps that the sensor answers for. In SCIP 1.1 there are more than it measures.
+    pub(super) const fn answered_steps(&self) -> RangeInclusive<u16> {
+        match self.codes {
+            None => 0..=768,
+            Some(_) => self.steps(),
+        }
+    }
+
+    /// First and last step inside an interval of micro-degrees. A step within half a micro-degree of
+    /// a bound is inside, because bounds are rounded. The numbers may be steps that no sensor has,
+    /// and the last one is before the first if no step is inside.
+    pub(super) const fn steps_inside(&self, (from, to): (i32, i32)) -> (i64, i64) {
+        let (from, to) = (2 * from as i64 - 1, 2 * to as i64 + 1);
+        let (resolution, front) = (self.steps_per_revolution as i64, self.front_step as i64);
+        // Rounds down: the negative of a number rounded down is its negative rounded up.
+        let first = front - (-from * resolution).div_euclid(HALVES);
+        (first, front + (to * resolution).div_euclid(HALVES))
     }
 }

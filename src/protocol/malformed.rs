@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::{Status, Text};
+use super::{Status, Text, fault};
 
 /// Number of bytes of a frame to show in an error message.
 const EXCERPT: usize = 32;
@@ -53,8 +53,9 @@ pub enum MalformedError {
     /// It ends after its echo.
     #[error("expected a status after the echo, found the end of the reply")]
     NoStatus,
-    /// Its status line is not exactly one printable character.
-    #[error("expected a status of one character, found \"{found}\"")]
+    /// Its status line is not exactly one printable character, or in SCIP 2 not two characters and
+    /// their sum.
+    #[error("expected a status, found \"{found}\"")]
     Status {
         /// Status line.
         found: Text,
@@ -110,6 +111,9 @@ pub enum MalformedError {
         "expected raw bytes, found CR LF line ends or telnet commands: set the terminal or the serial server to raw mode"
     )]
     NotRaw,
+    /// A reply of SCIP 2 has a fault.
+    #[error(transparent)]
+    Scip2(fault::MalformedError),
 }
 
 /// Error for a reply whose status line, at the front of `rest`, is not one printable

@@ -2,8 +2,7 @@
 
 use std::fmt;
 
-/// Value above all distances (p. 7): all 12 bits set.
-const SATURATED: u32 = 4095;
+use super::Codes;
 
 /// Result of a measurement in one direction.
 ///
@@ -11,22 +10,22 @@ const SATURATED: u32 = 4095;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize), serde(rename_all = "snake_case"))]
 pub enum Measurement {
-    /// A distance in millimetres, 20..=4094 (C-42-3320-A p. 7).
+    /// A distance in millimetres that the sensor [can measure](super::Geometry::distances).
     Distance(u32),
-    /// No distance, and why (p. 7).
+    /// No distance, and why.
     Error(ErrorCode),
-    /// All twelve bits set, 4095. The protocol text ends the range at 4094, the sensors'
-    /// firmware line at 4095. No capture of a real sensor has this value.
-    Saturated,
+    /// A value above all distances, which is no error code of the sensor's model. In SCIP 1.1 it is
+    /// 4095, all twelve bits set: the protocol text ends the range at 4094, the sensors' firmware
+    /// line at 4095. No capture of a real sensor has this value.
+    Saturated(#[cfg_attr(feature = "serde", serde(skip))] u32),
 }
 
 impl Measurement {
     /// Value as the sensor sent it.
     pub const fn value(self) -> u32 {
         match self {
-            Self::Distance(millimetres) => millimetres,
-            Self::Error(code) => code.0 as u32,
-            Self::Saturated => SATURATED,
+            Self::Distance(value) | Self::Saturated(value) => value,
+            Self::Error(code) => code.value,
         }
     }
 
@@ -39,32 +38,55 @@ impl Measurement {
     }
 
     /// Range in metres as REP 117 of ROS defines it: a distance as it is, `+Inf` where
-    /// the object may be beyond the range (error codes 0, 6 and 16, and saturated), `NaN`
-    /// for every other error code. Do not take `+Inf` as free space.
+    /// the object may be beyond the range, `NaN` for every other error code. Do not take `+Inf` as
+    /// free space.
+    ///
+    /// A saturated value is `+Inf`, and so are the error codes 0, 6 and 16 in SCIP 1.1; in SCIP 2 it
+    /// is 0 of a URG, 1 of a UTM-30LX, and 65533 of a UST.
     pub fn range(self) -> f32 {
         match self {
             Self::Distance(millimetres) => (f64::from(millimetres) / 1000.0) as f32,
             Self::Error(code) if !code.is_beyond_range() => f32::NAN,
-            Self::Error(_) | Self::Saturated => f32::INFINITY,
+            Self::Error(_) | Self::Saturated(_) => f32::INFINITY,
         }
     }
 }
 
-/// Why a distance is missing: a value in 0..=19 (C-42-3320-A p. 7). As data (feature
-/// `serde`) it is its number.
+/// Why a distance is missing: a value that means so on this model. In SCIP 1.1 it is in 0..=19
+/// (C-42-3320-A p. 7), in SCIP 2 one of the model's [`Codes`], or a value below all distances. As
+/// data (feature `serde`) it is its number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize), serde(into = "u8"))]
-pub struct ErrorCode(u8);
+#[cfg_attr(feature = "serde", derive(serde::Serialize), serde(into = "u32"))]
+pub struct ErrorCode {
+    value: u32,
+    /// Codes of the model. `None` stands for SCIP 1.1.
+    codes: Option<Codes>,
+}
 
 impl ErrorCode {
-    /// Returns the error code with this number, if it is one.
-    pub(super) const fn from_value(value: u32) -> Option<Self> {
-        if value < 20 { Some(Self(value as u8)) } else { None }
+    /// Returns the error code with this number, if it is one of these codes.
+    pub(super) const fn from_value(value: u32, codes: Option<Codes>) -> Option<Self> {
+        let is_code = match codes {
+            None => value < 20,
+            Some(codes) => codes.meaning(value).is_some(),
+        };
+        if is_code { Some(Self { value, codes }) } else { None }
     }
 
-    /// Its meaning, in the words of the protocol text (p. 7).
+    /// Creates the error code of a value below all distances.
+    pub(super) const fn too_small(value: u32, codes: Option<Codes>) -> Self {
+        Self { value, codes }
+    }
+
+    /// Its meaning. In SCIP 1.1 these are the words of the protocol text (p. 7).
     pub const fn meaning(self) -> &'static str {
-        match self.0 {
+        if let Some(codes) = self.codes {
+            return match codes.meaning(self.value) {
+                Some(meaning) => meaning,
+                None => "value below the measurable distances",
+            };
+        }
+        match self.value {
             0 => "Possibility of detected object is at 22m",
             1..=5 => "Reflected light has low intensity",
             6 => "Possibility of detected object is at 5.7m",
@@ -77,20 +99,26 @@ impl ErrorCode {
         }
     }
 
-    /// Returns true if an object may be beyond the range: error codes 0, 6 and 16.
-    pub(crate) const fn is_beyond_range(self) -> bool {
-        matches!(self.0, 0 | 6 | 16)
+    /// Returns true if an object may be beyond the range.
+    const fn is_beyond_range(self) -> bool {
+        match self.codes {
+            None => matches!(self.value, 0 | 6 | 16),
+            Some(Codes::Urg) => self.value == 0,
+            Some(Codes::Utm) => self.value == 1,
+            Some(Codes::Ethernet) => self.value == 65_533,
+            Some(Codes::Unknown) => false,
+        }
     }
 }
 
 impl fmt::Display for ErrorCode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "error code {}: {}", self.0, self.meaning())
+        write!(f, "error code {}: {}", self.value, self.meaning())
     }
 }
 
-impl From<ErrorCode> for u8 {
+impl From<ErrorCode> for u32 {
     fn from(code: ErrorCode) -> Self {
-        code.0
+        code.value
     }
 }

@@ -1,5 +1,5 @@
 //! SCIP 1.1 as plain values and bytes: encodes each command, and validates a reply
-//! against its command.
+//! against its command. [`scip2`] does the same for SCIP 2.
 //!
 //! Nothing here does I/O, reads a clock or writes a log. "p. 6" and the like are pages of
 //! the protocol text, C-42-3320-A.
@@ -18,7 +18,10 @@
 //! ```
 
 mod baud;
+mod codes;
 mod command;
+mod fault;
+mod generation;
 mod geometry;
 mod malformed;
 mod measurement;
@@ -32,7 +35,9 @@ mod window;
 #[doc(no_inline)]
 pub use baud::BaudRate;
 pub use baud::BaudRateError;
+use codes::Codes;
 pub use command::Command;
+pub use generation::Protocol;
 #[doc(no_inline)]
 pub use geometry::Geometry;
 pub use malformed::{MalformedError, ReplyError};

@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use super::malformed::{foreign, no_status};
 use super::window::BLOCK;
-use super::{Command, MalformedError, ReplyError, Status};
+use super::{Command, MalformedError, ReplyError, Status, Version};
 
 /// First of the 64 characters that carry 6 bits (p. 5).
 const FIRST_CHARACTER: u8 = 0x30;
@@ -110,13 +110,20 @@ impl Reply {
     }
 
     /// Iterates over the lines of a successful `V` after the status, except empty ones.
-    pub(super) fn lines(&self) -> impl Iterator<Item = &[u8]> {
+    fn lines(&self) -> impl Iterator<Item = &[u8]> {
         self.text.split(|&byte| byte == b'\n').filter(|line| !line.is_empty())
     }
 
     /// Frame of a reply to `V`, as it was parsed.
     pub(crate) fn version_frame(&self) -> Vec<u8> {
         [&b"V\n"[..], &[self.status.character(), b'\n'], &self.text].concat()
+    }
+}
+
+impl Version {
+    /// Parses the lines of a reply to `V`. Never fails: see [`Version`].
+    pub fn from_reply(reply: &Reply) -> Self {
+        Self::from_lines(reply.lines())
     }
 }
 

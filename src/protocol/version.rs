@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use super::{Reply, Text};
+use super::Text;
 
 /// Reply to `V` (C-42-3320-A p. 4) or to `VV` of SCIP 2, parsed tolerantly. Fields may come in any order, with
 /// or without a blank after the colon. Missing fields stay empty, and unknown lines are
@@ -34,12 +34,7 @@ pub struct Version {
 }
 
 impl Version {
-    /// Parses the lines of a reply to `V`. Never fails: see [`Version`].
-    pub fn from_reply(reply: &Reply) -> Self {
-        Self::from_lines(reply.lines())
-    }
-
-    /// Parses lines of a name, a colon and a value.
+    /// Parses lines of a name, a colon and a value. Never fails: see [`Version`].
     pub(super) fn from_lines<'a>(lines: impl IntoIterator<Item = &'a [u8]>) -> Self {
         let mut version = Self::default();
         for line in lines {

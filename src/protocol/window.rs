@@ -1,31 +1,42 @@
-//! [`Window`]: the steps that a `G` asks for, and their directions.
+//! [`Window`]: the steps to ask for: all, those in an interval of degrees, or steps by number.
+
+#[cfg(test)]
+mod tests;
 
 use std::fmt;
+use std::hash::{Hash, Hasher};
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use super::{BaudRate, Geometry};
 
-/// Geometry that windows are checked against.
-const GEOMETRY: Geometry = Geometry::URG_04LX;
-/// Last step (C-42-3320-A p. 6).
-const LAST: u16 = 768;
+/// Last step of a `G` (C-42-3320-A p. 6).
+pub(super) const LAST: u16 = 768;
+/// Micro-degrees to either side of the front that a window of degrees may include.
+const FARTHEST: i32 = 135_000_000;
 
 /// Length of a `G` and of its echo in bytes, LF included (p. 6).
 const POLL_LEN: usize = 10;
 /// Data bytes in a full line of a `G` reply (p. 3 and 6).
 pub(super) const BLOCK: usize = 64;
 
-/// Steps that a scan covers: starting point, end point and cluster count, the parameters
-/// of `G` (C-42-3320-A p. 6).
+/// Directions that a scan covers: all that the sensor measures ([`Window::DETECTION`]), an interval
+/// of [degrees](Window::degrees), or [steps](Window::new) by their number. A cluster count can
+/// group neighbours.
 ///
 /// A step is a direction of measurement. Steps count counter-clockwise, seen from above:
 /// [`Geometry::degrees`] is their direction. For a URG-04LX, 0 is -135 degrees (right rear), 384 the
-/// front, 768 is +135 degrees (left rear).
+/// front, 768 is +135 degrees (left rear). Another model has other steps, and step 384 may be
+/// another direction: write degrees to get the same directions from each.
 ///
-/// A window is always valid: both steps are in 0..=768, the start is not after the end,
-/// and the cluster count is 1..=99. (The protocol text allows a cluster count of 0, but
+/// The window of a [`Scan`](crate::Scan) has the steps of its sensor. A window that you create has
+/// the steps of a URG-04LX, whatever sensor you will pass it to.
+///
+/// A window that you create is always valid: both steps are in 0..=768, the start is not after the
+/// end, and the cluster count is 1..=99. (The protocol text allows a cluster count of 0, but
 /// sensors may disagree on what it means.)
+///
+/// `==` compares steps and cluster counts, however you asked for them.
 ///
 /// As data (feature `serde`) it is `start`, `end` and `cluster`. You may leave out a
 /// `cluster` of 1.
@@ -37,7 +48,7 @@ pub(super) const BLOCK: usize = 64;
 /// assert_eq!(window.points(), 171); // 682 steps in groups of 4, the last one partial
 /// # Ok::<(), tokio_scip::protocol::WindowError>(())
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(try_from = "UncheckedWindow"))]
 pub struct Window {
@@ -45,6 +56,19 @@ pub struct Window {
     end: u16,
     #[cfg_attr(feature = "serde", serde(rename = "cluster"))]
     cluster_count: u8,
+    #[cfg_attr(feature = "serde", serde(skip))]
+    wish: Wish,
+}
+
+/// What a window was asked to cover, on any sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Wish {
+    /// Everything that the sensor measures.
+    All,
+    /// The steps inside an interval of micro-degrees, counter-clockwise from the front.
+    Degrees(i32, i32),
+    /// The steps of the window.
+    Steps,
 }
 
 /// Unvalidated window, as data.
@@ -72,17 +96,22 @@ impl TryFrom<UncheckedWindow> for Window {
 }
 
 impl Window {
-    /// Every step, 0..=768. A real URG-04LX measures nothing outside of
+    /// Every step of a URG-04LX, 0..=768. A real URG-04LX measures nothing outside of
     /// [`Window::DETECTION`]: the steps there always carry error code 19.
     ///
     /// Successive polls of a window differ in their echo if there is a spare step on
     /// either side. This window has no spare step, and neither have some windows with a
     /// cluster count above 1 (0..=725 in clusters of 4). They have one safeguard less
     /// against a reply that a faulty line delivers twice.
-    pub const FULL: Self = Self { start: 0, end: LAST, cluster_count: 1 };
+    pub const FULL: Self = Self::from_steps(0, LAST);
 
-    /// Steps that a URG-04LX measures: 44..=725, -119.53 to +119.88 degrees, 682 points.
-    pub const DETECTION: Self = Self { start: 44, end: 725, cluster_count: 1 };
+    /// All that the sensor measures. For a URG-04LX: steps 44..=725, -119.53 to +119.88 degrees, 682
+    /// points.
+    pub const DETECTION: Self = Self { wish: Wish::All, ..Self::from_steps(44, 725) };
+
+    const fn from_steps(start: u16, end: u16) -> Self {
+        Self { start, end, cluster_count: 1, wish: Wish::Steps }
+    }
 
     /// Creates a window of `steps`, each a point of its own (cluster count 1).
     ///
@@ -94,37 +123,69 @@ impl Window {
         match (start, end) {
             (found, _) | (_, found) if found > LAST => Err(WindowError::Step { found }),
             _ if start > end => Err(WindowError::Reversed { start, end }),
-            _ => Ok(Self { start, end, cluster_count: 1 }),
+            _ => Ok(Self::from_steps(start, end)),
         }
     }
 
     /// Creates the window of the steps inside an interval of degrees, counter-clockwise
-    /// from the front: `Window::degrees(-90.0..=90.0)` is steps 128..=640.
+    /// from the front: `Window::degrees(-90.0..=90.0)` is steps 128..=640 of a URG-04LX. Another
+    /// sensor gets the interval itself, and sends the steps that it has inside.
+    ///
+    /// Bounds are rounded to a millionth of a degree.
     ///
     /// # Errors
     ///
-    /// [`WindowError`] if the interval contains no step, if it leaves -135..=135, or if a
-    /// bound is not a number.
+    /// [`WindowError`] if the interval contains no step of a URG-04LX, if it leaves -135..=135, or if
+    /// a bound is not a number.
     pub fn degrees(interval: RangeInclusive<f64>) -> Result<Self, WindowError> {
         let (from, to) = interval.into_inner();
-        // Rounding may move a computed bound past its step.
-        let tolerance = 1e-9;
-        let (low, high) = (GEOMETRY.step_at(from) - tolerance, GEOMETRY.step_at(to) + tolerance);
-        let (first, last) = (low.ceil(), high.floor());
-        // No range contains NaN.
-        let valid = -2.0 * tolerance..=f64::from(LAST) + 2.0 * tolerance;
-        if valid.contains(&low) && valid.contains(&high) && first <= last {
-            // The casts are exact: both are whole numbers in 0..=768.
-            Self::new(first as u16..=last as u16)
-        } else {
-            Err(WindowError::Degrees { from, to })
+        let error = WindowError::Degrees { from, to };
+        if from.is_nan() || to.is_nan() {
+            return Err(error);
         }
+        // The casts go no further than the ends of the type.
+        let [low, high] = [from, to].map(|degrees| (degrees * 1e6).round() as i32);
+        let window = Self { wish: Wish::Degrees(low, high), ..Self::DETECTION };
+        if low < -FARTHEST || high > FARTHEST {
+            return Err(error);
+        }
+        window.resolve(&Geometry::URG_04LX).map_err(|_| error)
+    }
+
+    /// Returns this window with the steps of a sensor.
+    #[inline(never)]
+    pub(crate) fn resolve(self, geometry: &Geometry) -> Result<Self, WindowError> {
+        let answered = geometry.answered_steps();
+        let (start, end) = match self.wish {
+            Wish::All => {
+                let (start, end) = geometry.steps().into_inner();
+                return Ok(Self { start, end, ..self });
+            }
+            Wish::Degrees(from, to) => geometry.steps_inside((from, to)),
+            Wish::Steps => (self.start.into(), self.end.into()),
+        };
+        match (u16::try_from(start), u16::try_from(end)) {
+            (Ok(start), Ok(end))
+                if start >= *answered.start() && end <= *answered.end() && start <= end =>
+            {
+                Ok(Self { start, end, ..self })
+            }
+            _ => Err(WindowError::NotMeasured { window: self, geometry: *geometry }),
+        }
+    }
+
+    /// Returns true if `other` asks for the same on every sensor. Windows that are equal may differ
+    /// in this: one of all that the sensor measures, one of steps 44..=725.
+    pub(crate) fn is_same_wish(&self, other: &Self) -> bool {
+        self.wish == other.wish
+            && self.cluster_count == other.cluster_count
+            && (self.wish != Wish::Steps || self == other)
     }
 
     /// Groups the same steps into clusters of `cluster_count` neighbours. The sensor
     /// sends the smallest value of each cluster.
     ///
-    /// The sensor takes the minimum of raw values, so one error code (0..=19) hides every
+    /// In SCIP 1.1 the sensor takes the minimum of raw values, so one error code (0..=19) hides every
     /// distance of its cluster. Clustering saves time on the line but loses points.
     ///
     /// # Errors
@@ -152,7 +213,7 @@ impl Window {
         self.cluster_count
     }
 
-    /// Number of steps in the window, 1..=769.
+    /// Number of steps in the window, 1..=769 for a URG-04LX.
     pub const fn steps(&self) -> usize {
         (self.end - self.start) as usize + 1
     }
@@ -175,6 +236,12 @@ impl Window {
     /// reply, but not the time that the sensor takes to answer.
     pub fn wire_time(&self, baud_rate: BaudRate) -> Duration {
         baud_rate.wire_time(POLL_LEN + self.reply_len())
+    }
+
+    /// Start, end and cluster count as one number, which is never 0. It is cheaper to keep and to
+    /// compare.
+    pub(crate) const fn key(&self) -> u64 {
+        self.start as u64 | (self.end as u64) << 16 | (self.cluster_count as u64) << 32
     }
 
     /// Number of steps in the first cluster.
@@ -216,7 +283,21 @@ impl Window {
     /// Creates the window of one step.
     pub(crate) const fn single(step: u16) -> Self {
         let step = if step > LAST { LAST } else { step };
-        Self { start: step, end: step, cluster_count: 1 }
+        Self::from_steps(step, step)
+    }
+}
+
+impl PartialEq for Window {
+    fn eq(&self, other: &Self) -> bool {
+        self.key() == other.key()
+    }
+}
+
+impl Eq for Window {}
+
+impl Hash for Window {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.key().hash(state);
     }
 }
 
@@ -266,48 +347,35 @@ pub enum WindowError {
         /// Upper bound.
         to: f64,
     },
+    /// The sensor does not measure all of it.
+    #[error("{}: this sensor {}", wanted(window), measured(geometry))]
+    NotMeasured {
+        /// Window that was asked for.
+        window: Window,
+        /// What the sensor measures.
+        geometry: Geometry,
+    },
 }
 
-#[cfg(test)]
-#[allow(clippy::unwrap_used)]
-mod tests {
-    use super::*;
-
-    fn window(start: u16, end: u16, cluster_count: u8) -> Window {
-        Window::new(start..=end).unwrap().with_cluster_count(cluster_count).unwrap()
-    }
-
-    /// First and last step of every point.
-    fn points(window: Window) -> Vec<(u16, u16)> {
-        let (end, cluster) = (window.end(), u16::from(window.cluster_count()));
-        (window.start()..=end)
-            .step_by(usize::from(cluster))
-            .map(|first| (first, end.min(first + cluster - 1)))
-            .collect()
-    }
-
-    #[test]
-    fn a_widened_window_keeps_the_points() {
-        let mut refused = 0;
-        for start in 0..=768 {
-            for end in [start, start + 1, start + 7, start + 41, 725, 764, 767, 768] {
-                if end < start || end > 768 {
-                    continue;
-                }
-                for cluster_count in [1, 2, 4, 5, 99] {
-                    for added in 0..4 {
-                        let narrow = window(start, end, cluster_count);
-                        let Some((wide, skip)) = narrow.widened(added) else {
-                            refused += 1;
-                            continue;
-                        };
-                        assert_eq!(wide.points(), narrow.points() + usize::from(added));
-                        let kept = points(wide).into_iter().skip(skip).take(narrow.points());
-                        assert!(kept.eq(points(narrow)), "{narrow} by {added}");
-                    }
-                }
-            }
+/// Writes what a window was asked to cover.
+fn wanted(window: &Window) -> String {
+    match window.wish {
+        Wish::Degrees(from, to) => {
+            let [from, to] = [from, to].map(|bound| f64::from(bound) / 1e6);
+            format!("invalid window from {from} to {to} degrees")
         }
-        assert!(refused > 0);
+        Wish::All | Wish::Steps => {
+            format!("invalid window of steps {}..={}", window.start, window.end)
+        }
     }
+}
+
+/// Writes which steps a sensor measures.
+fn measured(geometry: &Geometry) -> String {
+    let (first, last) = geometry.steps().into_inner();
+    let [from, to] = [first, last].map(|step| geometry.degrees(step));
+    let apart = geometry.step_angle().to_degrees();
+    format!(
+        "measures steps {first}..={last} ({from:.2} to {to:.2} degrees), {apart:.3} degrees apart"
+    )
 }

@@ -113,7 +113,7 @@ impl Inner {
     }
 
     fn push(&mut self, mut scan: Scan) -> bool {
-        let repeats = self.scans.back().is_some_and(|latest| scan.values() == latest.values());
+        let repeats = self.scans.back().is_some_and(|latest| scan.is_same_as(latest));
         scan.meta.repeat = repeats;
         scan.meta.sequence = self.next;
         while self.scans.len() >= self.depth() {

@@ -173,3 +173,18 @@ async fn a_busy_reader_lets_other_tasks_run() {
     }
     assert!(other.is_finished(), "a thousand scans in one go");
 }
+
+#[test]
+fn a_repeat_has_all_bits_of_the_values() {
+    let ring = Ring::new();
+    let _reader = ring.subscribe(1);
+    let long = |value: u32| {
+        let like = scan();
+        Scan::new(like.window(), std::sync::Arc::<[u32]>::from([value, 7]), 0, like.meta)
+    };
+    let scans = [(scan(), false), (long(1000), true), (long(1000), true)];
+    let higher = [(long(1000 + 65_536), false), (long(1000 + 65_536), true), (scan(), false)];
+    for (number, (scan, repeats)) in scans.into_iter().chain(higher).enumerate() {
+        assert_eq!(ring.push(scan).0, repeats, "{number}");
+    }
+}

@@ -4,14 +4,15 @@ use std::time::{Duration, SystemTime};
 
 use tokio::time::Instant;
 
+use super::values::Values;
 use super::{Scan, ScanMeta};
 use crate::Error;
-use crate::protocol::{Geometry, Window};
+use crate::protocol::{Geometry, Window, WindowError};
 
-/// Largest 12-bit value.
-const MAX_VALUE: u16 = 4095;
-/// Revolution at 600 rpm.
-const REVOLUTION: Duration = Duration::from_millis(100);
+/// Largest value of 12 bits, in SCIP 1.1.
+const MAX_VALUE: u32 = (1 << 12) - 1;
+/// Largest value of 18 bits, in SCIP 2.
+const MAX_LONG_VALUE: u32 = (1 << 18) - 1;
 
 impl Scan {
     /// Makes a scan of `window` from your values, one for each point, as if it had just
@@ -37,7 +38,7 @@ impl Scan {
 
 /// Builder of a [`Scan`]; made by [`Scan::builder`].
 ///
-/// By default, the scan is number 0 of a sensor at 600 rpm, is no repeat, and was requested
+/// By default, the scan is number 0 of a URG-04LX at 600 rpm, is no repeat, and was requested
 /// and received when the builder was made.
 #[derive(Debug, Clone)]
 #[must_use = "a builder does nothing until it builds a scan"]
@@ -59,8 +60,9 @@ impl ScanBuilder {
             lateness: None,
             postponed: Duration::ZERO,
             repeat: false,
-            scan_time: REVOLUTION,
+            scan_time: Geometry::URG_04LX.revolution(),
             geometry: Geometry::URG_04LX,
+            sensor_clock: None,
             reconnects: 0,
         };
         Self { window, values, meta }
@@ -91,6 +93,13 @@ impl ScanBuilder {
         self
     }
 
+    /// Sets [`Scan::geometry`], and [`Scan::scan_time`] to the nominal revolution. The window gets
+    /// the steps of this sensor: pass as many values.
+    pub fn geometry(mut self, geometry: Geometry) -> Self {
+        self.meta = ScanMeta { geometry, scan_time: geometry.revolution(), ..self.meta };
+        self
+    }
+
     /// Sets [`Scan::scan_time`].
     pub fn scan_time(mut self, scan_time: Duration) -> Self {
         self.meta.scan_time = scan_time;
@@ -106,24 +115,33 @@ impl ScanBuilder {
     ///
     /// # Errors
     ///
-    /// [`ScanError`] if you did not pass one value for each point of the window, or if a
-    /// value is above 4095.
+    /// [`ScanError`] if you did not pass one value for each point of the window, if a
+    /// value is above 4095 (for a sensor of SCIP 2 above 262143), or if the sensor does not measure
+    /// the window.
     pub fn build(self) -> Result<Scan, ScanError> {
-        let (expected, found) = (self.window.points(), self.values.len());
+        let Self { window, values, meta } = self;
+        let window = window.resolve(&meta.geometry)?;
+        let (expected, found) = (window.points(), values.len());
         if expected != found {
-            return Err(ScanError::Length { window: self.window, expected, found });
+            return Err(ScanError::Length { window, expected, found });
         }
-        let fitting = |(index, found): (usize, u32)| match u16::try_from(found) {
-            Ok(value) if value <= MAX_VALUE => Ok(value),
-            _ => Err(ScanError::Value { index, found }),
+        let is_short = meta.geometry.has_short_values();
+        let max = if is_short { MAX_VALUE } else { MAX_LONG_VALUE };
+        if let Some((index, &found)) = values.iter().enumerate().find(|(_, value)| **value > max) {
+            return Err(ScanError::Value { index, found, max });
+        }
+        let values = if is_short {
+            // The casts are exact.
+            Values::Short(values.into_iter().map(|value| value as u16).collect())
+        } else {
+            Values::Long(values.into())
         };
-        let values: Result<_, _> = self.values.into_iter().enumerate().map(fitting).collect();
-        Ok(Scan::new(self.window, values?, 0, self.meta))
+        Ok(Scan::new(window, values, 0, meta))
     }
 }
 
 /// Error for values that make no [`Scan`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScanError {
     /// The number of values differs from the window's number of points.
@@ -136,14 +154,19 @@ pub enum ScanError {
         /// Number of values.
         found: usize,
     },
-    /// A value has more than 12 bits.
-    #[error("invalid scan: expected values of 0 to 4095, found {found} at index {index}")]
+    /// A value has more than 12 bits in SCIP 1.1, or 18 in SCIP 2.
+    #[error("invalid scan: expected values of 0 to {max}, found {found} at index {index}")]
     Value {
         /// Index of the first such value, from 0.
         index: usize,
         /// Value.
         found: u32,
+        /// Largest value allowed.
+        max: u32,
     },
+    /// The sensor does not measure the window.
+    #[error(transparent)]
+    Window(#[from] WindowError),
 }
 
 impl From<ScanError> for Error {
@@ -166,6 +189,9 @@ mod tests {
         let mut values = [1000; 682];
         assert!(build(&values).is_ok());
         (values[9], values[10]) = (4095, 4096);
-        assert_eq!(build(&values).unwrap_err(), ScanError::Value { index: 10, found: 4096 });
+        assert_eq!(
+            build(&values).unwrap_err(),
+            ScanError::Value { index: 10, found: 4096, max: 4095 }
+        );
     }
 }

@@ -32,7 +32,7 @@ impl Serialize for Scan {
         scan.serialize_field("scan_time", &self.meta.scan_time.as_secs_f64())?;
         scan.serialize_field("repeat", &self.is_repeat())?;
         scan.serialize_field("reconnects", &self.reconnects())?;
-        scan.serialize_field("values", self.values())?;
+        scan.serialize_field("values", &self.values())?;
         scan.serialize_field("ranges", &ranges)?;
         scan.end()
     }

@@ -23,6 +23,7 @@ mod ray;
 #[expect(clippy::module_inception, reason = "it is named after its type")]
 mod scan;
 mod times;
+mod values;
 
 pub use self::builder::{ScanBuilder, ScanError};
 pub use self::pose::Pose;
@@ -33,3 +34,4 @@ pub use self::ray::Ray;
 pub use self::scan::Scan;
 pub(crate) use self::scan::ScanMeta;
 pub use self::times::{ScanTimes, StampQuality};
+pub(crate) use self::values::Values;

@@ -70,7 +70,7 @@ impl Scan {
         let (first, cluster) = (self.window.start(), self.window.cluster_count());
         let rays = self.measurements().zip(self.angles()).enumerate();
         rays.map(move |(n, (measurement, angle))| {
-            // At most 768, so the cast is exact and there is such a step.
+            // A step of the window, so the cast is exact and the sum fits.
             let step = first + n as u16 * u16::from(cluster);
             Ray { step, angle, measurement, offset: (n as f64 * increment) as f32 }
         })

@@ -1,11 +1,11 @@
 //! [`Scan`]: the values of one reply to `G`, with their geometry and times.
 
 use std::fmt;
-use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use tokio::time::Instant;
 
+use super::values::{Part, Values};
 use crate::protocol::{Geometry, Measurement, Window};
 
 /// Values of all directions of a [`Window`], measured in one revolution.
@@ -31,8 +31,7 @@ use crate::protocol::{Geometry, Measurement, Window};
 #[derive(Clone)]
 pub struct Scan {
     pub(super) window: Window,
-    /// 16 bits hold what SCIP 1.1 sends, in half the memory.
-    values: Arc<[u16]>,
+    values: Values,
     /// Index of the first value in `values`: the driver may have asked for more.
     first: usize,
     pub(crate) meta: ScanMeta,
@@ -54,17 +53,24 @@ pub(crate) struct ScanMeta {
     pub(crate) repeat: bool,
     pub(crate) scan_time: Duration,
     pub(crate) geometry: Geometry,
+    /// Time of the sensor's clock in milliseconds, if it tells.
+    pub(crate) sensor_clock: Option<u32>,
     pub(crate) reconnects: u64,
 }
 
 impl Scan {
     /// Creates a scan. `values` has one value for each point of `window`, starting at
-    /// `first`.
-    pub(crate) fn new(window: Window, values: Arc<[u16]>, first: usize, meta: ScanMeta) -> Self {
-        Self { window, values, first, meta }
+    /// `first`. Others may follow.
+    pub(crate) fn new(
+        window: Window,
+        values: impl Into<Values>,
+        first: usize,
+        meta: ScanMeta,
+    ) -> Self {
+        Self { window, values: values.into(), first, meta }
     }
 
-    /// Requested window.
+    /// Requested window, with the steps of the sensor.
     pub fn window(&self) -> Window {
         self.window
     }
@@ -99,13 +105,19 @@ impl Scan {
     /// no distance either: take [`distances`](Self::distances), or
     /// [`measurements`](Self::measurements), which tell them apart.
     pub fn raw_values(&self) -> impl ExactSizeIterator<Item = u32> + Clone + '_ {
-        self.values().iter().map(|value| u32::from(*value))
+        self.values().iter()
     }
 
     /// Values of the window, in the block that scans of other windows share.
-    pub(crate) fn values(&self) -> &[u16] {
-        let end = self.first + self.window.points();
-        self.values.get(self.first..end).unwrap_or_default()
+    pub(crate) fn values(&self) -> Part<'_> {
+        self.values.part(self.first, self.window.points())
+    }
+
+    /// Returns true if both seem to show the same revolution: all values are equal, and the time of
+    /// the sensor's clock, if it tells.
+    #[inline(always)]
+    pub(crate) fn is_same_as(&self, other: &Self) -> bool {
+        self.meta.sensor_clock == other.meta.sensor_clock && self.values() == other.values()
     }
 
     /// Iterates over the meanings of the values.
@@ -114,8 +126,8 @@ impl Scan {
     }
 
     /// Iterates over the ranges in metres, as REP 117 of ROS defines them: distances
-    /// unchanged, `+Inf` for the values 0, 6, 16 and 4095 (possibly beyond range: do not take it as
-    /// free space), `NaN` for all other error codes. Never yields `-Inf`.
+    /// unchanged, `+Inf` where the object may be beyond the range (in SCIP 1.1 the values 0, 6, 16 and
+    /// 4095: do not take it as free space), `NaN` for all other error codes. Never yields `-Inf`.
     pub fn ranges(&self) -> impl ExactSizeIterator<Item = f32> + Clone + '_ {
         self.measurements().map(Measurement::range)
     }
@@ -182,6 +194,8 @@ impl Eq for Scan {}
 
 #[cfg(test)]
 pub(super) mod tests {
+    use std::sync::Arc;
+
     use super::*;
 
     /// Each value equals its index, plus 20.
@@ -215,5 +229,22 @@ pub(super) mod tests {
         let other = |value| scan_of(a.window, a.raw_values().map(|one| one + value));
         assert_eq!(a, Scan { meta: a.meta, ..other(0) });
         assert_ne!(a, Scan { meta: a.meta, ..other(1) });
+    }
+
+    #[test]
+    fn values_are_equal_however_they_are_stored() {
+        let short = scan(Window::DETECTION);
+        // Intensities may follow.
+        let with = |more: &[u32]| short.raw_values().chain(more.iter().copied()).collect();
+        let long = |values: Vec<u32>, first| {
+            Scan::new(short.window, Arc::<[u32]>::from(values), first, short.meta)
+        };
+        assert_eq!(short, long(with(&[]), 0));
+        assert_eq!(long(with(&[]), 0), long(with(&[7, 8]), 0));
+        assert_ne!(short, long(with(&[7, 8]), 1));
+        assert_eq!(format!("{short:?}"), format!("{:?}", long(with(&[7]), 0)));
+        let far = long(short.raw_values().map(|value| value | 1 << 16).collect(), 0);
+        assert_ne!(short, far);
+        assert_eq!(far.raw_values().next(), Some(65_556));
     }
 }

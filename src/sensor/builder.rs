@@ -10,7 +10,7 @@ use super::Sensor;
 use crate::RawReply;
 use crate::driver::{self, Config, Driver, IdleProbe};
 use crate::port::{Attached, Connect, Endpoint};
-use crate::protocol::Text;
+use crate::protocol::{Protocol, Text};
 use crate::{BaudRate, Error, State};
 
 /// Longest time that you can set, so that no instant overflows.
@@ -61,6 +61,20 @@ impl SensorBuilder {
     /// it. By default the sensor keeps its own (19,200 baud after power-up). No effect on USB.
     pub fn baud_rate(mut self, baud_rate: BaudRate) -> Self {
         self.config.baud_rate = Some(baud_rate);
+        self
+    }
+
+    /// Sets the protocol to speak. By default the driver finds out which one the sensor speaks, and
+    /// sends nothing of SCIP 2 to a sensor that answers in SCIP 1.1.
+    ///
+    /// - [`Protocol::Scip2`] asks a URG-04LX to speak SCIP 2, again after each power-up. It then
+    ///   measures up to 5.6 m, and its replies have sums.
+    /// - [`Protocol::Scip1`] accepts no sensor of SCIP 2.
+    ///
+    /// A sensor that does not speak this protocol is an
+    /// [`ErrorKind::WrongProtocol`](crate::ErrorKind::WrongProtocol).
+    pub fn protocol(mut self, protocol: Protocol) -> Self {
+        self.config.protocol = Some(protocol);
         self
     }
 

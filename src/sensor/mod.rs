@@ -7,11 +7,11 @@ pub use self::builder::SensorBuilder;
 use crate::RawReply;
 use crate::driver::{Client, ReplyObservation, Request};
 use crate::port::Endpoint;
-use crate::protocol::{Command, Version};
+use crate::protocol::{Command, Protocol, Version};
 use crate::state::{Freshness, StateWatch};
 use crate::stats::Stats;
 use crate::stream::StreamBuilder;
-use crate::{BaudRate, Error, Rate, Scan, Window};
+use crate::{BaudRate, Error, Geometry, Rate, Scan, Window};
 
 /// Handle to a URG sensor.
 ///
@@ -78,6 +78,15 @@ impl Sensor {
         match self.client.shared().link.version() {
             Some(version) => Ok(version),
             None => self.client.ask(Request::Version).await,
+        }
+    }
+
+    /// Directions and distances that the sensor measures, as the driver learned them when it opened
+    /// the link. Waits for a link if there is none.
+    pub async fn geometry(&self) -> Result<Geometry, Error> {
+        match self.client.shared().link.geometry() {
+            Some(geometry) => Ok(geometry),
+            None => self.client.ask(Request::Geometry).await,
         }
     }
 
@@ -190,7 +199,8 @@ impl Sensor {
     ) -> ReplyObservation {
         if let Some(version) = self.client.shared().link.version_reply() {
             observer(RawReply {
-                command: Some(Command::Version),
+                protocol: version.protocol,
+                command: (version.protocol == Protocol::Scip1).then_some(Command::Version),
                 bytes: &version.frame,
                 received_at: version.received_at,
                 stamp: version.stamp,

@@ -8,8 +8,8 @@ use tokio::time::Instant;
 
 use super::link_log::LinkLog;
 use super::{State, StateWatch, lock};
-use crate::protocol::Version;
-use crate::{BaudRate, Error, ErrorChain, ErrorKind};
+use crate::protocol::{Protocol, Version};
+use crate::{BaudRate, Error, ErrorChain, ErrorKind, Geometry};
 
 /// A driver that waits for its sensor repeats each reason in the log after this time.
 const WAITING_INTERVAL: Duration = Duration::from_secs(600);
@@ -18,13 +18,14 @@ const WAITING_INTERVAL: Duration = Duration::from_secs(600);
 pub(crate) struct LinkState {
     name: Option<Arc<str>>,
     state: watch::Sender<State>,
-    version: Mutex<Option<VersionReply>>,
+    identity: Mutex<Option<(VersionReply, Geometry)>>,
     log: Mutex<LinkLog>,
 }
 
-/// Reply to `V`: parsed, and as received.
+/// Reply to `V` or `VV`: parsed, and as received.
 #[derive(Debug, Clone)]
 pub(crate) struct VersionReply {
+    pub(crate) protocol: Protocol,
     pub(crate) version: Version,
     /// Bytes without the terminator.
     pub(crate) frame: Arc<[u8]>,
@@ -36,7 +37,7 @@ pub(crate) struct VersionReply {
 impl LinkState {
     pub(crate) fn new(name: Option<Arc<str>>) -> Self {
         let state = watch::Sender::new(State::Connecting { error: None });
-        Self { name, state, version: Mutex::default(), log: Mutex::default() }
+        Self { name, state, identity: Mutex::default(), log: Mutex::default() }
     }
 
     /// Creates an error with the name of the sensor. Every error of a driver is made here.
@@ -53,7 +54,7 @@ impl LinkState {
     pub(super) fn enter(&self, state: State) {
         self.log(&state);
         if matches!(state, State::Disconnected { .. } | State::Closed { .. }) {
-            *lock(&self.version) = None;
+            *lock(&self.identity) = None;
         }
         // Only changes may wake watchers, and a user may hold a borrow.
         let is_news = !is_same(&self.state.borrow(), &state);
@@ -165,11 +166,16 @@ impl LinkState {
     }
 
     pub(crate) fn version_reply(&self) -> Option<VersionReply> {
-        lock(&self.version).clone()
+        lock(&self.identity).as_ref().map(|(reply, _)| reply.clone())
     }
 
-    pub(crate) fn set_version(&self, reply: VersionReply) {
-        *lock(&self.version) = Some(reply);
+    /// Geometry of the sensor, if there is a link.
+    pub(crate) fn geometry(&self) -> Option<Geometry> {
+        lock(&self.identity).as_ref().map(|(_, geometry)| *geometry)
+    }
+
+    pub(crate) fn set_identity(&self, reply: VersionReply, geometry: Geometry) {
+        *lock(&self.identity) = Some((reply, geometry));
     }
 }
 

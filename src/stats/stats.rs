@@ -1,6 +1,6 @@
 //! [`Stats`]: counters of everything that the driver does.
 
-use crate::protocol::{MalformedError, ReplyError};
+use crate::protocol::{MalformedError, ReplyError, scip2};
 use crate::stats::{LatencyStats, MotorStats};
 use crate::{BaudRate, Rate, Window};
 
@@ -67,12 +67,23 @@ pub struct MalformedCounts {
     pub character: u64,
     /// The reply does not end where it should.
     pub overlong: u64,
+    /// A line of a reply of SCIP 2 has the wrong length, a wrong character or a wrong sum.
+    pub line: u64,
 }
 
 impl MalformedCounts {
     /// Number of all malformed replies.
     pub fn total(&self) -> u64 {
-        self.echo + self.status + self.length + self.character + self.overlong
+        self.echo + self.status + self.length + self.character + self.overlong + self.line
+    }
+
+    pub(crate) fn count_scip2(&mut self, error: &scip2::ReplyError) {
+        let counter = match error {
+            scip2::ReplyError::Malformed(malformed) if malformed.line().is_some() => &mut self.line,
+            scip2::ReplyError::Malformed(_) | scip2::ReplyError::Scip1(_) => &mut self.status,
+            _ => &mut self.echo,
+        };
+        *counter += 1;
     }
 
     pub(crate) fn count(&mut self, error: &ReplyError) {

@@ -3,6 +3,7 @@
 use std::time::{Duration, UNIX_EPOCH};
 
 use serde_json::{Value, json};
+use tokio_scip::protocol::scip2;
 use tokio_scip::{Endpoint, Error, Measurement, Rate, Scan, Sensor, State, Window};
 use urg_emulator::{Emulator, Values, WorldTime};
 
@@ -43,6 +44,35 @@ async fn a_scan_is_one_line_of_ndjson() {
     assert_eq!((read["stamp"].as_f64().unwrap() * 1e6).round() as u128, micros);
 }
 
+/// Values may have 18 bits, and the geometry has the fields that it had in SCIP 1.1.
+#[test]
+fn a_scan_of_another_model_has_the_same_shape() {
+    let frame = "PP\n00P\nMODL:UST-10LX;D\nDMIN:23;7\nDMAX:60000;J\nARES:1440;^\nAMIN:0;?\n\
+        AMAX:1080;Z\nAFRT:540;0\nSCAN:2400;U";
+    let request = scip2::Request::new(scip2::Command::Parameters, None);
+    let reply = scip2::Reply::parse(&request, frame.as_bytes()).unwrap();
+    let scip2::Content::Parameters(parameters) = reply.content else { panic!() };
+    let geometry = parameters.geometry();
+    let scan = Scan::builder(Window::degrees(-0.3..=0.3).unwrap(), [60_000, 65_533, 2]);
+    let scan = scan.geometry(geometry).build().unwrap();
+    let data = serde_json::to_value(&scan).unwrap();
+    assert_eq!((&data["start"], &data["end"]), (&json!(539), &json!(541)));
+    assert_eq!(data["values"], json!([60_000, 65_533, 2]));
+    assert_eq!(data["ranges"], json!([60.0, null, null]));
+    let measurements: Vec<Measurement> = scan.measurements().collect();
+    let codes = json!([{"distance": 60_000}, {"error": 65_533}, {"error": 2}]);
+    assert_eq!(serde_json::to_value(measurements).unwrap(), codes);
+    assert_eq!(
+        serde_json::to_value(scan.window()).unwrap(),
+        json!({"start": 539, "end": 541, "cluster": 1})
+    );
+    let fields = json!({
+        "steps_per_revolution": 1440, "first_step": 0, "last_step": 1080, "front_step": 540,
+        "min_distance": 23, "max_distance": 60_000
+    });
+    assert_eq!(serde_json::to_value(geometry).unwrap(), fields);
+}
+
 #[test]
 fn a_rate_and_an_endpoint_are_serialized_as_their_text() {
     for rate in [Rate::hz(10.0), Rate::hz(1.0 / 3.0), Rate::UNLIMITED] {
@@ -63,8 +93,8 @@ fn a_rate_and_an_endpoint_are_serialized_as_their_text() {
     let data = serde_json::to_value(&endpoint).unwrap();
     assert_eq!(data, json!("tcp://bridge:4001?baud=57600"));
     assert_eq!(serde_json::from_value::<Endpoint>(data).unwrap(), endpoint);
-    let error = serde_json::from_value::<Endpoint>(json!("tcp://bridge")).unwrap_err();
-    assert!(error.to_string().contains("invalid port \"tcp://bridge\""), "{error}");
+    let error = serde_json::from_value::<Endpoint>(json!("tcp://bridge:")).unwrap_err();
+    assert!(error.to_string().contains("invalid port \"tcp://bridge:\""), "{error}");
 }
 
 #[test]

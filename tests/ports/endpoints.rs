@@ -36,6 +36,9 @@ fn tcp_addresses_are_read_and_written() {
     }
     let explicit: Endpoint = "tcp://bridge:4001?baud=19200".parse().unwrap();
     assert_eq!(explicit.to_string(), "tcp://bridge:4001", "the default goes without saying");
+    for (text, host) in [("tcp://192.168.0.10", "192.168.0.10"), ("tcp://[::1]", "::1")] {
+        assert_eq!(text.parse::<Endpoint>().unwrap(), tcp(host, 10_940, BaudRate::B19200));
+    }
 }
 
 #[test]
@@ -45,10 +48,9 @@ fn an_invalid_port_is_refused_with_the_reason() {
         (" /dev/ttyACM0", "white space"),
         ("/dev/ttyACM0\n", "white space"),
         ("/dev/tty\0ACM0", "control"),
-        ("tcp://", "TCP port is missing"),
-        ("tcp://bridge", "TCP port is missing"),
+        ("tcp://", "host is missing"),
         ("tcp://bridge:", "TCP port is missing"),
-        ("tcp://[::1]", "TCP port is missing"),
+        ("tcp://[::1]4001", "TCP port is missing"),
         ("tcp://:4001", "host is missing"),
         ("tcp://bridge:0", "1 to 65535"),
         ("tcp://bridge:65536", "1 to 65535"),
@@ -272,6 +274,6 @@ fn an_endpoint_is_serialized_as_its_text() {
         assert_eq!(json, format!("{text:?}"));
         assert_eq!(serde_json::from_str::<Endpoint>(&json).unwrap(), endpoint);
     }
-    let error = serde_json::from_str::<Endpoint>("\"tcp://bridge\"").unwrap_err().to_string();
+    let error = serde_json::from_str::<Endpoint>("\"tcp://bridge:\"").unwrap_err().to_string();
     assert!(error.contains("the TCP port is missing"), "{error}");
 }

@@ -118,7 +118,7 @@ async fn a_sensor_opened_in_the_background_may_come_later() {
     emulator.plug_in();
     scans.next().await.unwrap().unwrap();
 
-    let invalid = Sensor::builder().wait_for_sensor(true).open("tcp://nowhere").await.unwrap_err();
+    let invalid = Sensor::builder().wait_for_sensor(true).open("tcp://nowhere:").await.unwrap_err();
     assert!(matches!(invalid.kind(), ErrorKind::InvalidEndpoint { .. }), "{invalid}");
 }
 

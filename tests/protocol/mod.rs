@@ -7,6 +7,7 @@ mod codec;
 mod damage;
 mod encoder;
 mod fence;
+mod geometry;
 mod replies;
 mod scip2;
 mod values;

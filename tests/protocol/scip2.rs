@@ -190,6 +190,15 @@ fn a_version_has_its_fields() {
     assert_eq!(version.serial_number, "H0000001");
 }
 
+#[test]
+fn a_sum_may_be_a_semicolon() {
+    // A UST writes its vendor with a blank.
+    let frame = VERSION.replace("Co.,Ltd.;[", "Co., Ltd.;;").replace("H0000001;6", "H0000006;;");
+    let version = version(&frame).unwrap();
+    assert_eq!(version.vendor, "Hokuyo Automatic Co., Ltd.");
+    assert_eq!(version.serial_number, "H0000006");
+}
+
 /// Reported of a URG-04LX (ros-drivers/urg_c, pull request 4).
 #[test]
 fn a_serial_number_may_have_its_sum_apart() {

@@ -33,7 +33,7 @@ fn all_twenty_error_codes_have_the_meaning_of_the_text() {
     for (number, meaning) in (0..=19).zip(MEANINGS) {
         let measurement = Geometry::URG_04LX.measurement(number);
         let Measurement::Error(code) = measurement else { panic!("{measurement:?}") };
-        assert_eq!((u32::from(u8::from(code)), code.meaning()), (number, meaning));
+        assert_eq!((u32::from(code), code.meaning()), (number, meaning));
         assert_eq!(code.to_string(), format!("error code {number}: {meaning}"));
         let is_beyond = measurement.range() == f32::INFINITY;
         assert_eq!(is_beyond, meaning.starts_with("Possibility"));
@@ -47,7 +47,7 @@ fn every_value_is_an_error_a_distance_or_saturated() {
         match value {
             0..=19 => assert!(matches!(measurement, Measurement::Error(_))),
             20..=4094 => assert_eq!(measurement, Measurement::Distance(value)),
-            _ => assert_eq!(measurement, Measurement::Saturated),
+            _ => assert_eq!(measurement, Measurement::Saturated(value)),
         }
         assert_eq!(measurement.value(), value);
         assert_eq!(measurement.distance(), (20..=4094).contains(&value).then_some(value));

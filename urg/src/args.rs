@@ -70,8 +70,9 @@ impl CopyArgs {
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Window")]
 pub(crate) struct WindowArgs {
-    /// Steps to measure: detection (44..725), full (0..768), or FIRST..LAST [default:
-    /// detection, or as recorded]; step 0 is -135 degrees (right), 384 the front
+    /// Steps to measure: detection (all that the sensor measures), full (0..768), or FIRST..LAST
+    /// [default: detection, or as recorded]; of a URG-04LX step 0 is -135 degrees (right), 384 the
+    /// front
     #[arg(long, value_name = "WINDOW", value_parser = named_window,
         conflicts_with_all = ["from", "to"])]
     window: Option<Window>,
@@ -92,7 +93,7 @@ impl WindowArgs {
     pub(crate) fn window(&self, default: Window) -> Result<Window, Failure> {
         let window = match (self.window, self.from, self.to) {
             (Some(window), ..) => Ok(window),
-            (None, None, None) => Window::new(default.start()..=default.end()),
+            (None, None, None) => default.with_cluster_count(1),
             (None, from, to) => {
                 let [start, end] = [default.start(), default.end()];
                 let [start, end] = [start, end].map(|step| Geometry::URG_04LX.degrees(step).into());

@@ -67,7 +67,7 @@ use crate::stream::command::Stream;
 #[cfg(feature = "view")]
 use crate::view::View;
 
-/// Use Hokuyo URG laser range sensors that speak SCIP 1.1.
+/// Use Hokuyo laser range scanners.
 ///
 /// Data goes to standard output, everything else to standard error. Exit codes:
 /// 0 when done or stopped by Ctrl-C, 1 on failure, 2 for an invalid command line.

@@ -10,8 +10,10 @@ const HUNDRED_MS: Duration = Duration::from_millis(100);
 
 fn schedules(rates: &[(Window, Rate)]) -> (Schedules, Vec<Cursor>) {
     let mut schedules = Schedules::default();
-    let readers =
-        rates.iter().map(|&(window, rate)| schedules.subscribe(window, rate, 1, None)).collect();
+    let readers = rates
+        .iter()
+        .map(|&(window, rate)| schedules.subscribe(window, rate, 1, None, None))
+        .collect();
     (schedules, readers)
 }
 
@@ -58,6 +60,21 @@ async fn equal_schedules_are_one_and_one_without_readers_ends() {
     assert!(schedules.is_empty());
 }
 
+/// On another sensor, equal windows may differ.
+#[tokio::test(start_paused = true)]
+async fn schedules_tell_apart_how_a_window_was_asked_for() {
+    let steps = Window::new(44..=725).unwrap();
+    let degrees = |to| Window::degrees(-119.6..=to).unwrap();
+    let windows = [Window::DETECTION, steps, degrees(119.9), degrees(119.95)];
+    assert_eq!(windows, [steps; 4]);
+    let again = [degrees(119.9), steps, Window::DETECTION];
+    let all = windows.into_iter().chain(again).map(|window| (window, Rate::UNLIMITED));
+    let (mut schedules, _readers) = schedules(&all.collect::<Vec<_>>());
+    let counters = Counters::default();
+    schedules.publish(&counters);
+    assert_eq!(counters.snapshot().schedules.len(), 4);
+}
+
 fn scan() -> Scan {
     Scan::builder(Window::single(384), [1000]).build().unwrap()
 }
@@ -66,7 +83,7 @@ fn scan() -> Scan {
 async fn missed_scans_are_counted_once_and_stay_counted_after_their_reader_is_gone() {
     let (window, rate) = (Window::single(384), Rate::UNLIMITED);
     let (mut schedules, mut readers) = schedules(&[(window, rate)]);
-    let poll = DuePoll { window, rate };
+    let poll = DuePoll { window, rate, is_measured: true };
     let mut deliver_three_and_read_one = |schedules: &mut Schedules| {
         for _ in 0..3 {
             schedules.deliver(poll, scan(), None);
@@ -89,11 +106,11 @@ async fn missed_scans_are_counted_once_and_stay_counted_after_their_reader_is_go
 async fn a_condition_is_reported_once_until_it_changes_or_a_scan_comes() {
     let (window, rate) = (Window::single(384), Rate::UNLIMITED);
     let (mut schedules, mut readers) = schedules(&[(window, rate)]);
-    let poll = DuePoll { window, rate };
+    let poll = DuePoll { window, rate, is_measured: true };
     let mut errors = 0;
     let mut count = |schedules: &mut Schedules, error: Option<Error>| {
         match error {
-            Some(error) => drop(schedules.fail(poll, &error)),
+            Some(error) => drop(schedules.fail(poll, &error, Instant::now())),
             None => drop(schedules.deliver(poll, scan(), None)),
         }
         let next = readers.iter_mut().map(|reader| poll_fn(|cx| reader.poll_next(cx)));

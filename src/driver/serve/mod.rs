@@ -19,7 +19,7 @@ use super::schedule::Schedules;
 use super::session::Session;
 use super::transport::Timer;
 use crate::state::Shared;
-use crate::{BaudRate, ErrorKind};
+use crate::{BaudRate, ErrorKind, Geometry};
 
 /// Why a session is no longer served.
 #[derive(Debug)]
@@ -73,6 +73,7 @@ pub(crate) struct Service<'a> {
     pub(crate) baud_rate: &'a mut Option<BaudRate>,
     pub(crate) shared: &'a Shared,
     pub(crate) scan_time: Duration,
+    pub(crate) geometry: Geometry,
     /// Silence after which an idle link is probed, if it is.
     pub(crate) probe_interval: Option<Duration>,
     /// On the sensor's own USB port.
@@ -89,6 +90,7 @@ pub(crate) struct Service<'a> {
 impl Service<'_> {
     /// Serves until there is a reason to stop.
     pub(crate) async fn run(&mut self, session: &mut Session) -> Stop {
+        self.schedules.resolve(&self.geometry);
         self.schedules.resume(Instant::now());
         self.check_baud_rate(session.baud_rate());
         let mut latest = Turn::Poll;
@@ -181,6 +183,11 @@ impl Service<'_> {
                 let _ = responder.send(known);
                 Ok(())
             }
+            Request::Geometry(responder) => {
+                let known = self.shared.link.geometry().ok_or(ErrorKind::Closed);
+                let _ = responder.send(known);
+                Ok(())
+            }
             Request::Laser { on, responder } => {
                 let outcome = self.switch_laser(session, on, false).await;
                 Self::respond(responder, outcome)
@@ -198,7 +205,9 @@ impl Service<'_> {
             }
             Request::Subscribe { window, rate, depth, responder } => {
                 // Drops the stream if no caller waits for it.
-                let _ = responder.send(Ok(self.schedules.subscribe(window, rate, depth, None)));
+                let geometry = Some(&self.geometry);
+                let stream = self.schedules.subscribe(window, rate, depth, None, geometry);
+                let _ = responder.send(Ok(stream));
                 Ok(())
             }
             Request::Close(responder) => Err(Stop::Closed(responder)),

@@ -9,7 +9,7 @@ use super::super::schedule::{DuePoll, Ended};
 use super::super::session::{Acquired, Session};
 use super::{Service, Stop, command_error};
 use crate::scan::{Scan, ScanMeta};
-use crate::{ErrorKind, Geometry, Window};
+use crate::{Error, ErrorKind, Window};
 
 impl Service<'_> {
     pub(super) async fn scan(
@@ -20,6 +20,9 @@ impl Service<'_> {
         if self.laser.is_off() {
             return Err(ExchangeError::Command(ErrorKind::LaserOff));
         }
+        let Ok(window) = window.resolve(&self.geometry) else {
+            return Err(self.unmeasured(window));
+        };
         let mut tries = 2;
         loop {
             tries -= 1;
@@ -42,19 +45,23 @@ impl Service<'_> {
             self.schedules.publish(&self.shared.counters);
             return Ok(());
         };
+        if !poll.is_measured {
+            return Ok(self.fail_unmeasured(poll)?);
+        }
+        let window = poll.window;
         // Earlier, the session would have to confirm the reply, which costs a revolution.
         if poll.rate.period().is_some()
-            && let Some(copies_end) = session.copies_end(poll.window)
+            && let Some(copies_end) = session.copies_end(window)
         {
             self.timer.wait(copies_end).await;
         }
-        let mut acquired = session.acquire(poll.window).await;
+        let mut acquired = session.acquire(window).await;
         if let Err(failure) = acquired {
-            acquired = Box::pin(self.poll_again(session, poll.window, failure)).await;
+            acquired = Box::pin(self.poll_again(session, window, failure)).await;
         }
         let ended = match acquired {
             Ok(acquired) => {
-                let scan = self.scan_from(poll.window, acquired);
+                let scan = self.scan_from(window, acquired);
                 self.schedules.deliver(poll, scan, session.believed_baud_rate())
             }
             Err(failure) => self.fail(poll, failure)?,
@@ -75,7 +82,30 @@ impl Service<'_> {
     #[cold]
     fn fail(&mut self, poll: DuePoll, failure: ExchangeError) -> Result<Ended, LinkError> {
         let kind = command_error(failure)?;
-        Ok(self.schedules.fail(poll, &self.shared.link.error(kind)))
+        let mut again = Instant::now();
+        // A refusal comes at once, and a window that the sensor lacks is not even sent.
+        if !matches!(kind, ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. }) {
+            again += self.scan_time;
+        }
+        Ok(self.schedules.fail(poll, &self.shared.link.error(kind), again))
+    }
+
+    /// Ends a poll that this sensor cannot answer.
+    #[cold]
+    fn fail_unmeasured(&mut self, poll: DuePoll) -> Result<(), LinkError> {
+        let failure = self.unmeasured(poll.window);
+        self.fail(poll, failure)?;
+        self.schedules.publish(&self.shared.counters);
+        Ok(())
+    }
+
+    /// Error for a window that this sensor cannot measure.
+    #[cold]
+    fn unmeasured(&self, window: Window) -> ExchangeError {
+        let outcome = window.resolve(&self.geometry).map(drop).map_err(Error::other);
+        let kind = outcome.err().map_or(ErrorKind::Closed, Error::into_kind);
+        self.shared.counters.fail(self.shared.link.error(kind.clone()));
+        ExchangeError::Command(kind)
     }
 
     /// Handles the failure of a poll. If the sensor refused because its laser is off, and this
@@ -125,7 +155,7 @@ impl Service<'_> {
     /// Makes a scan of a reply, and learns from its arrival when the motor's revolutions end.
     fn scan_from(&mut self, window: Window, acquired: Acquired) -> Scan {
         self.laser.record_scan(window);
-        let Acquired { values, first, times } = acquired;
+        let Acquired { values, first, clock: sensor_clock, times } = acquired;
         let clock = self.motor_clock.as_mut().filter(|_| !times.is_replayed);
         let (revolution, motor) = clock.map_or_else(Default::default, |clock| {
             (clock.observe(times.requested, times.began), clock.stats())
@@ -144,7 +174,8 @@ impl Service<'_> {
             postponed: Duration::ZERO,
             repeat: false,
             scan_time: revolution.period.unwrap_or(self.scan_time),
-            geometry: Geometry::URG_04LX,
+            geometry: self.geometry,
+            sensor_clock,
             reconnects: self.reconnects,
         };
         let mut scan = Scan::new(window, values, first, meta);
@@ -159,7 +190,7 @@ impl Service<'_> {
     #[cold]
     fn warn_of_shortfall(&mut self, poll: DuePoll) {
         let Some(stats) = self.schedules.stats(poll) else { return };
-        let (DuePoll { window, rate }, reached) = (poll, stats.reached.unwrap_or_default());
+        let (DuePoll { window, rate, .. }, reached) = (poll, stats.reached.unwrap_or_default());
         let explanation = stats.explanation().unwrap_or_default();
         tracing::warn!(%window, asked = %rate, reached, "{explanation}");
     }

@@ -5,7 +5,7 @@
 //!
 //! | intention | confirmed |
 //! |---|---|
-//! | [`find`](Session::find) | the sensor answers at the port's baud rate |
+//! | [`find`](Session::find) | the sensor answers at the port's baud rate, in this protocol |
 //! | [`identify`](Session::identify) | a flipped bit has not changed the identity |
 //! | [`set_laser`](Session::set_laser) | the sensor measures, or refuses to |
 //! | [`set_baud_rate`](Session::set_baud_rate) | the sensor answers at the new baud rate |
@@ -15,21 +15,45 @@
 //! Below it, a protocol knows its commands, tells replies apart, and judges the bytes that nobody
 //! asked for.
 
+mod baud_rate;
+mod errors;
+mod identity;
+mod line;
 mod scip1;
+mod scip2;
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests;
 
 use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Duration;
 
-pub(crate) use self::scip1::{Leftovers, Session};
-use super::transport::ReplyTimes;
-use crate::state::VersionReply;
+use tokio::time::Instant;
+
+use self::errors::{not_confirmed, on_behalf_of};
+use self::line::Line;
+use self::scip1::{Scip1, UniqueRequests};
+use self::scip2::Scip2;
+use super::failure::{ExchangeError, LinkError};
+use super::observers::ReplyObservers;
+use super::transport::{ReplyTimes, Transport};
+use crate::port::Port;
+use crate::protocol::scip2::Status;
+use crate::protocol::{Command, Protocol, Text};
+use crate::scan::Values;
+use crate::state::{Shared, VersionReply};
+use crate::{BaudRate, ErrorKind, Geometry, Window};
 
 /// Values of a window.
 #[derive(Debug)]
 pub(crate) struct Acquired {
-    pub(crate) values: Arc<[u16]>,
+    pub(crate) values: Values,
     /// Index of the window's first value. The protocol may have asked for extra values before or
     /// after the window.
     pub(crate) first: usize,
+    /// Time of the sensor's clock in milliseconds when it measured them, if it has told.
+    pub(crate) clock: Option<u32>,
     pub(crate) times: ReplyTimes,
 }
 
@@ -41,6 +65,7 @@ pub(crate) struct Identity {
     pub(crate) is_serial_number_confirmed: bool,
     /// Motor speed, if it was known or is the same in two replies.
     pub(crate) motor_speed: Option<MotorSpeed>,
+    pub(crate) geometry: Geometry,
 }
 
 /// Motor speed of a sensor, as it tells.
@@ -49,4 +74,225 @@ pub(crate) enum MotorSpeed {
     RevolutionsPerMinute(u16),
     /// Older firmware does not tell it.
     Untold,
+}
+
+/// What a session leaves for the next one.
+#[derive(Debug)]
+pub(crate) struct Leftovers {
+    /// The system keeps bytes that arrive while a port is closed, so the next session may read
+    /// replies to these.
+    unique_requests: UniqueRequests,
+    /// True if the sensor may hold part of a command. An LF ends it, and can cost a revolution.
+    interrupted: bool,
+}
+
+impl Leftovers {
+    /// Before the first session, an earlier program may have left replies to anything.
+    pub(crate) fn unknown() -> Self {
+        Self { unique_requests: UniqueRequests::random(), interrupted: false }
+    }
+}
+
+/// Open port, and the protocol that the sensor speaks.
+pub(crate) struct Session {
+    /// Protocol to speak, unless it is the sensor's choice.
+    wanted: Option<Protocol>,
+    scip1: Scip1,
+    /// `Some` while the sensor speaks SCIP 2.
+    scip2: Option<scip2::State>,
+}
+
+impl Session {
+    pub(crate) fn new(
+        port: Box<dyn Port>,
+        reply_latency: Option<Duration>,
+        wanted: Option<Protocol>,
+        before: Leftovers,
+        observers: Arc<ReplyObservers>,
+        shared: Arc<Shared>,
+    ) -> Self {
+        let Leftovers { unique_requests, interrupted } = before;
+        shared.counters.stats().baud_rate_disproved = false;
+        // Another program may have left a stream of scans, which the system has kept.
+        let transport = Transport::new(port, &scip2::LIMITS, interrupted);
+        let line = Line {
+            transport,
+            // The last user of the port may have left bytes behind.
+            is_settled: false,
+            is_baud_rate_disproved: false,
+            reply_latency,
+            observers,
+            shared,
+        };
+        Self { wanted, scip1: Scip1 { line, unique_requests }, scip2: None }
+    }
+
+    /// Closes the port.
+    pub(crate) fn close(self) -> Leftovers {
+        let interrupted = self.scip1.line.transport.is_interrupted();
+        Leftovers { unique_requests: self.scip1.unique_requests, interrupted }
+    }
+
+    /// `Some` while the sensor speaks SCIP 2.
+    fn scip2(&mut self) -> Option<Scip2<'_>> {
+        let line = &mut self.scip1.line;
+        self.scip2.as_mut().map(|state| Scip2 { line, state })
+    }
+
+    /// Returns true if the next command has to be preceded by a [`probe`](Self::probe), as far as
+    /// known without reading.
+    pub(crate) fn needs_probe(&self) -> bool {
+        !self.scip1.line.is_settled || !self.scip1.line.transport.pending().is_empty()
+    }
+
+    /// Waits for unsolicited bytes. The session [needs a probe](Self::needs_probe) then.
+    pub(crate) fn poll_unasked(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), LinkError>> {
+        self.scip1.line.transport.poll_idle(cx)
+    }
+
+    /// When the sensor was last heard.
+    pub(crate) fn heard_at(&self) -> Option<Instant> {
+        self.scip1.line.transport.latest_at()
+    }
+
+    pub(crate) fn can_die_silently(&mut self) -> bool {
+        self.scip1.line.transport.can_die_silently()
+    }
+
+    pub(crate) fn delivers_intact(&mut self) -> bool {
+        self.scip1.line.transport.delivers_intact()
+    }
+
+    /// Returns true if a reply begins when a revolution of the motor ends, and arrives without a
+    /// delay of the line: then the arrivals show the motor.
+    pub(crate) fn shows_motor(&mut self) -> bool {
+        self.scip2.is_none() && self.delivers_intact()
+    }
+
+    /// Baud rate of the port, unless it has none.
+    pub(crate) fn baud_rate(&self) -> Option<BaudRate> {
+        self.scip1.line.baud_rate()
+    }
+
+    /// Baud rate of the line, unless it has none or a reply has disproved it.
+    pub(crate) fn believed_baud_rate(&self) -> Option<BaudRate> {
+        self.scip1.line.believed_baud_rate()
+    }
+
+    /// Returns true if the sensor can be searched for at several baud rates.
+    pub(crate) fn is_searchable(&self) -> bool {
+        self.scip1.line.is_searchable()
+    }
+
+    /// Drops pending input, and asks until there is an answer. Returns true if the sensor
+    /// measures: it refuses to while its laser is off.
+    pub(crate) async fn probe(&mut self) -> Result<bool, ExchangeError> {
+        match self.scip2() {
+            Some(mut scip2) => scip2.probe().await.map(Status::is_ok),
+            None => self.scip1.probe().await,
+        }
+    }
+
+    /// Asks for the values of `window`, whose steps are the sensor's.
+    pub(crate) async fn acquire(&mut self, window: Window) -> Result<Acquired, ExchangeError> {
+        if let Some(mut scip2) = self.scip2() {
+            return Box::pin(scip2.acquire(window)).await;
+        }
+        // Here, and not in a future of its own, which would cost each scan of SCIP 1.1 more.
+        let scip1 = &mut self.scip1;
+        // First, so that the fence's `clear` cannot forget this request.
+        if !scip1.is_quiet()? {
+            scip1.settle().await.map_err(on_behalf_of(Command::Distances(window)))?;
+        }
+        let request = match scip1.choose(window) {
+            Some(request) => request,
+            None => Box::pin(scip1.choose_after_fence(window)).await?,
+        };
+        let answer = scip1.exchange(request.command, request.echo).await?;
+        request.values(answer)
+    }
+
+    /// Returns when [`acquire`](Self::acquire) of this window needs no further command to rule out a
+    /// copy of the latest reply, or `None` if it needs none now.
+    pub(crate) fn copies_end(&mut self, window: Window) -> Option<Instant> {
+        if self.scip2.is_some() { None } else { self.scip1.copies_end(window) }
+    }
+
+    /// Switches the laser, and checks whether the sensor measures.
+    ///
+    /// # Errors
+    ///
+    /// [`NotConfirmed`](ErrorKind::NotConfirmed) if it stays as it is. [`Refused`](ErrorKind::Refused)
+    /// if the sensor refuses both the command and to measure: then nothing tells whether the laser is
+    /// off.
+    pub(crate) async fn set_laser(&mut self, on: bool) -> Result<(), ExchangeError> {
+        match self.scip2() {
+            Some(mut scip2) => scip2.set_laser(on).await,
+            None => self.scip1.set_laser(on).await,
+        }
+    }
+
+    /// Begins with a sensor that has answered in SCIP 1.1.
+    async fn begin_in_scip1(&mut self) -> Result<(), ExchangeError> {
+        if self.wanted != Some(Protocol::Scip2) {
+            return Ok(());
+        }
+        let state = self.scip2.insert(scip2::State::new());
+        let outcome = Scip2 { line: &mut self.scip1.line, state }.enter().await;
+        if outcome.is_err() {
+            self.scip2 = None;
+        }
+        outcome
+    }
+
+    /// Begins with a sensor that has answered in SCIP 2, which `error` says.
+    async fn begin_in_scip2(&mut self, error: ErrorKind) -> Result<(), ExchangeError> {
+        if self.wanted == Some(Protocol::Scip1) {
+            return Err(LinkError::Silent(error).into());
+        }
+        let state = self.scip2.insert(scip2::State::new());
+        Scip2 { line: &mut self.scip1.line, state }.stop().await
+    }
+
+    /// Sends one command that every sensor answers.
+    async fn probe_once(&mut self, latency: Duration) -> Result<(), ExchangeError> {
+        match self.scip2() {
+            Some(mut scip2) => scip2.probe_once(latency).await.map(drop),
+            None => self.scip1.fence_once(latency).await.map(drop),
+        }
+    }
+
+    /// Confirms that the sensor is at this baud rate, which is the port's.
+    async fn confirm_baud_rate(&mut self, baud_rate: BaudRate) -> Result<(), ExchangeError> {
+        let asked = Command::BaudRate(baud_rate);
+        match self.scip2() {
+            Some(mut scip2) => scip2.probe().await.map(drop),
+            None => self.scip1.fence().await.map(drop),
+        }
+        .map_err(on_behalf_of(asked))
+    }
+
+    /// Sends the command for a baud rate, and returns the status if the sensor obeys.
+    async fn send_baud_rate(&mut self, baud_rate: BaudRate) -> Result<Text, ExchangeError> {
+        match self.scip2() {
+            Some(mut scip2) => scip2.send_baud_rate(baud_rate).await,
+            None => self.scip1.send_baud_rate(baud_rate).await,
+        }
+    }
+
+    /// Sends the command for a baud rate on a port without one. Over USB a sensor of SCIP 1.1 accepts
+    /// it without effect (C-42-3320-A p. 5); one of SCIP 2 may refuse it.
+    async fn send_baud_rate_over_usb(&mut self, baud_rate: BaudRate) -> Result<(), ExchangeError> {
+        match self.scip2 {
+            Some(_) => self.confirm_baud_rate(baud_rate).await,
+            None => self.scip1.send_baud_rate_twice(baud_rate).await,
+        }
+    }
+
+    fn baud_rate_not_confirmed(&self, baud_rate: BaudRate, status: Option<Text>) -> ErrorKind {
+        match &self.scip2 {
+            Some(_) => not_confirmed(&scip2::baud_rate_request(baud_rate), status, None),
+            None => not_confirmed(&Command::BaudRate(baud_rate), status, None),
+        }
+    }
 }

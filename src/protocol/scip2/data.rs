@@ -83,6 +83,11 @@ impl Scan {
         Ok(Self { stamp, left, values, points })
     }
 
+    /// All distances, then all intensities.
+    pub(crate) fn into_values(self) -> Arc<[u32]> {
+        self.values
+    }
+
     /// Time of the sensor's clock at step 0 of the scan (p. 12).
     pub const fn stamp(&self) -> Stamp {
         self.stamp

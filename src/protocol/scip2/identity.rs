@@ -6,10 +6,10 @@ use std::str::FromStr;
 
 use super::lines::{number, pair};
 use super::malformed::{MalformedError, quoted};
-use crate::protocol::{Text, Version};
+use crate::protocol::{Codes, Geometry, Text, Version};
 
 /// Parses the data of a reply to `VV`.
-pub(super) fn version(data: &[u8]) -> Result<Version, MalformedError> {
+pub(super) fn version<'a>(data: &'a [u8]) -> Result<Version, MalformedError> {
     let lines: Vec<&[u8]> = data.split(|&byte| byte == b'\n').collect();
     // Some URG-04LX send one character more, on a line of its own, and a wrong sum of the serial
     // number.
@@ -20,11 +20,12 @@ pub(super) fn version(data: &[u8]) -> Result<Version, MalformedError> {
     for (line, bytes) in lines.iter().enumerate() {
         pair((line, bytes), false)?;
     }
-    // Without semicolon and sum.
-    let without_sum = |line: &&'_ [u8]| line.iter().rposition(|&byte| byte == b';');
-    let all = lines.iter().chain(serial);
-    let pairs = all.map(|line| line.get(..without_sum(line).unwrap_or(line.len())));
-    let version = Version::from_lines(pairs.flatten());
+    // Without semicolon and sum, which may be a semicolon too: it is of a UST's vendor.
+    let without_sum = |line: &&'a [u8]| match *line {
+        [pair @ .., b';', _] | [pair @ .., b';'] => pair,
+        line => line,
+    };
+    let version = Version::from_lines(lines.iter().chain(serial).map(without_sum));
     for (key, value) in [
         ("VEND", &version.vendor),
         ("PROD", &version.product),
@@ -62,6 +63,22 @@ pub struct Parameters {
 }
 
 impl Parameters {
+    /// Geometry of the sensor.
+    pub fn geometry(&self) -> Geometry {
+        // A user can change the fields: without the limits, times would be infinite, and windows
+        // would end before their start.
+        Geometry {
+            steps_per_revolution: self.steps_per_revolution.max(1),
+            first_step: *self.steps.start(),
+            last_step: *self.steps.start().max(self.steps.end()),
+            front_step: self.front,
+            min_distance: *self.distances.start(),
+            max_distance: *self.distances.end(),
+            motor_speed: self.motor_speed,
+            codes: Some(Codes::of(self.model.as_bytes())),
+        }
+    }
+
     pub(super) fn parse(data: &[u8]) -> Result<Self, MalformedError> {
         let (mut model, mut other) = (Text::default(), Vec::new());
         let mut numbers = [&b""[..]; 7];

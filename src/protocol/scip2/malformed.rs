@@ -1,6 +1,7 @@
 //! [`ReplyError`]: why a frame is not the reply to its request.
 
 use crate::protocol::Text;
+pub use crate::protocol::fault::MalformedError;
 
 /// Number of bytes of a frame to show in an error message.
 const EXCERPT: usize = 32;
@@ -24,36 +25,6 @@ pub enum ReplyError {
     /// It begins with STX, as the frames of UAM safety scanners do.
     #[error("expected SCIP 2, found a frame of the UAM safety scanners' own protocol: send MD")]
     Uam,
-}
-
-/// Fault in the shape of a reply: where it is, what was expected there, and what was found.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("expected {expected} in {}, found {found}", self.place())]
-pub struct MalformedError {
-    line: Option<usize>,
-    expected: String,
-    found: String,
-}
-
-impl MalformedError {
-    /// Creates the error for a line after the status, or for no single line.
-    pub(super) fn new(
-        line: impl Into<Option<usize>>,
-        expected: impl Into<String>,
-        found: impl Into<String>,
-    ) -> Self {
-        Self { line: line.into(), expected: expected.into(), found: found.into() }
-    }
-
-    /// Number of the line, from 0, after the status. `None` if the fault is in the status, or if a
-    /// line is missing.
-    pub const fn line(&self) -> Option<usize> {
-        self.line
-    }
-
-    fn place(&self) -> String {
-        self.line.map_or_else(|| "the reply".into(), |line| format!("line {line}"))
-    }
 }
 
 /// First bytes in quotes, safe to show.

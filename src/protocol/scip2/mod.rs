@@ -1,5 +1,5 @@
 //! SCIP 2 as plain values and bytes: encodes each command, and validates a reply against its
-//! request. The driver does not use it yet; you can, with a link of your own.
+//! request.
 //!
 //! Nothing here does I/O, reads a clock or writes a log. A frame is what lies between two
 //! terminators of two LFs. "p. 6" and the like are pages of the protocol text, C-42-03320B. What
@@ -43,15 +43,15 @@ mod identity;
 mod label;
 mod lines;
 mod malformed;
-mod model;
 mod reply;
 mod status;
 
+#[doc(inline)]
+pub use crate::protocol::codes::Codes;
 pub use command::{Command, Data, MotorSpeed, Request, Steps, Stream};
 pub use data::{Scan, Stamp};
 pub use identity::{Parameters, State};
 pub use label::{Label, Labels, ParameterError};
 pub use malformed::{MalformedError, ReplyError};
-pub use model::Codes;
 pub use reply::{Content, Reply};
 pub use status::Status;

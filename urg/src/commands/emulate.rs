@@ -18,15 +18,15 @@ use crate::output::notice::notice;
 /// Emulate a sensor for other programs, until Ctrl-C
 ///
 /// The sensor measures a room where people walk. By default it is a URG-04LX on USB,
-/// on a pseudo-terminal that you open like a serial port. Other models speak SCIP 2, which
-/// `urg` itself does not read yet. With the same seed it sends the same scans at the same times.
+/// on a pseudo-terminal that you open like a serial port. Other models speak SCIP 2. With the same
+/// seed it sends the same scans at the same times.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   urg emulate --link /tmp/urg                   then: urg stream /tmp/urg
   urg emulate --tcp 4001                        then: urg stream tcp://127.0.0.1:4001
   urg emulate --link /tmp/urg --baud 19200 --faults late=0.01:2s,lost=0.01
-  urg emulate --model ust-10lx --tcp 10940      for a program that speaks SCIP 2")]
+  urg emulate --model ust-10lx --tcp 10940      then: urg stream tcp://127.0.0.1")]
 pub(crate) struct Emulate {
     /// Symbolic link to create to the pseudo-terminal; replaces a link left by an
     /// earlier emulator

@@ -5,23 +5,24 @@ use std::time::Duration;
 use super::super::super::failure::ExchangeError;
 use super::super::super::observers::ReplyObservers;
 use super::super::super::transport::{Expected, NoFrame, ReceivedFrame, ReplyTimes};
-use super::errors::{bad_reply, no_reply, on_behalf_of, refused};
-use super::{LIMITS, Session};
+use super::super::errors::{no_reply, on_behalf_of};
+use super::errors::{bad_reply, refused};
+use super::{ANY_SCAN, LIMITS, Scip1};
 use crate::codec::{ExpectedReply, FoundFrame};
-use crate::protocol::{Command, MalformedError, Reply, ReplyError, Status};
+use crate::protocol::{Command, MalformedError, Protocol, Reply, ReplyError, Status};
 use crate::state::Shared;
 use crate::{BaudRate, ErrorKind, RawReply};
 
 /// Reply to a command.
 #[derive(Debug)]
-pub(super) struct Answer {
+pub(in super::super) struct Answer {
     pub(super) reply: Reply,
     pub(super) times: ReplyTimes,
 }
 
 /// Which other replies may still be on their way with the echo of a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum EchoKind {
+pub(in super::super) enum EchoKind {
     /// No other reply. If this one arrives too fast for its bytes, the baud rate is
     /// wrong.
     Unique,
@@ -31,9 +32,12 @@ pub(super) enum EchoKind {
     Common,
 }
 
-impl Session {
+impl Scip1 {
     /// Sends `command`, and returns its reply, whatever its status.
-    pub(super) async fn command(&mut self, command: Command) -> Result<Answer, ExchangeError> {
+    pub(in super::super) async fn command(
+        &mut self,
+        command: Command,
+    ) -> Result<Answer, ExchangeError> {
         self.settle().await.map_err(on_behalf_of(command))?;
         self.exchange(command, EchoKind::Common).await
     }
@@ -47,7 +51,7 @@ impl Session {
         match self.command(command).await {
             Err(ExchangeError::Command(
                 ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
-            )) if !self.is_closing() => self.command(command).await,
+            )) if !self.line.is_closing() => self.command(command).await,
             outcome => outcome,
         }
     }
@@ -55,28 +59,30 @@ impl Session {
     /// Sends `command` on a settled link, and judges the next frame: it is the answer, or
     /// the command has failed. Waiting for a better frame would cost the whole deadline
     /// each time a reply is damaged.
-    pub(super) async fn exchange(
+    pub(in super::super) async fn exchange(
         &mut self,
         command: Command,
         echo: EchoKind,
     ) -> Result<Answer, ExchangeError> {
-        self.is_settled = false;
-        let within = self.time_limit(&command, self.latency(&command));
-        let baud_rate = self.believed_baud_rate();
+        self.line.is_settled = false;
+        let within = self.wire_time(&command) + self.latency(&command);
+        let baud_rate = self.line.believed_baud_rate();
         let bytes = command.bytes();
         let expected = expected(&command, &bytes);
-        let received = match self.transport.ask(&bytes, &expected, within).await {
+        let received = match self.line.transport.ask(&bytes, &expected, within).await {
             Ok(received) => received,
-            Err(failure) => return Err(record_silence(&self.shared, &command, failure)),
+            Err(failure) => return Err(record_silence(&self.line.shared, &command, failure)),
         };
         let (times, wire_len) = (received.times, received.wire_len());
-        match judge(&command, echo, received, baud_rate, &self.observers) {
+        match judge(&command, echo, received, baud_rate, &self.line.observers) {
             Ok(reply) => {
-                self.is_settled = true;
+                self.line.is_settled = true;
                 if !reply.status().is_ok_for(&command) {
                     self.record_refusal();
-                } else if echo == EchoKind::Unique {
-                    self.check_speed(&command, reply.status(), &times);
+                } else if echo == EchoKind::Unique
+                    && let Some(baud_rate) = baud_rate
+                {
+                    self.check_speed(&command, baud_rate, reply.status(), &times);
                 }
                 Ok(Answer { reply, times })
             }
@@ -90,18 +96,23 @@ impl Session {
             Command::Distances(_) => Duration::from_millis(500),
             _ => Duration::from_secs(1),
         };
-        self.reply_latency.unwrap_or(usual)
+        self.line.reply_latency.unwrap_or(usual)
     }
 
-    /// How long an exchange may take: `latency`, and the time of its bytes on the wire.
-    pub(super) fn time_limit(&self, command: &Command, latency: Duration) -> Duration {
+    /// How long the sensor may take to begin its answer to a fence.
+    pub(in super::super) fn usual_latency(&self) -> Duration {
+        self.latency(&ANY_SCAN)
+    }
+
+    /// Time of a command and its longest reply on the wire.
+    pub(in super::super) fn wire_time(&self, command: &Command) -> Duration {
         let wire_time = |baud_rate| command.wire_time(baud_rate);
-        self.transport.baud_rate().map_or(Duration::ZERO, wire_time) + latency
+        self.line.transport.baud_rate().map_or(Duration::ZERO, wire_time)
     }
 
     #[cold]
     fn record_refusal(&mut self) {
-        self.shared.counters.stats().refused += 1;
+        self.line.shared.counters.stats().refused += 1;
     }
 
     #[cold]
@@ -111,7 +122,7 @@ impl Session {
         error: ReplyError,
         wire_len: u64,
     ) -> ExchangeError {
-        let mut stats = self.shared.counters.stats();
+        let mut stats = self.line.shared.counters.stats();
         stats.malformed.count(&error);
         if !is_echoed(&error) {
             stats.bytes_skipped += wire_len;
@@ -122,18 +133,20 @@ impl Session {
         ExchangeError::Command(error)
     }
 
-    /// Checks whether the latest reply arrived faster than its bytes and the bytes of its `command`
-    /// can: then the port's baud rate is wrong. The command's echo must be unique, so that the
-    /// reply cannot be an older one.
-    pub(super) fn check_speed(&mut self, command: &Command, status: Status, times: &ReplyTimes) {
-        let Some(baud_rate) = self.believed_baud_rate() else { return };
-        let echo = command.bytes().len() + 1;
-        let bytes = echo + if status.is_ok() { command.reply_len() } else { echo + 3 };
-        if times.received - times.requested < baud_rate.wire_time(bytes) {
-            self.is_baud_rate_disproved = true;
-            self.shared.counters.stats().baud_rate_disproved = true;
-            tracing::debug!("replies come faster than the baud rate can carry");
-        }
+    /// Checks whether the reply to `command` came faster than the baud rate allows. The command's echo
+    /// must be unique, so that the reply cannot be an older one.
+    pub(in super::super) fn check_speed(
+        &mut self,
+        command: &Command,
+        baud_rate: BaudRate,
+        status: Status,
+        times: &ReplyTimes,
+    ) {
+        let wire_time = match status.is_ok() {
+            true => command.wire_time(baud_rate),
+            false => baud_rate.wire_time(2 * (command.bytes().len() + 1) + 3),
+        };
+        self.line.check_speed(wire_time, times);
     }
 }
 
@@ -165,6 +178,7 @@ fn judge(
     };
     let outcome = Reply::parse(command, bytes);
     observers.pass(|| RawReply {
+        protocol: Protocol::Scip1,
         command: outcome.as_ref().err().is_none_or(is_echoed).then_some(*command),
         bytes,
         received_at: times.received,

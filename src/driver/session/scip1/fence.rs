@@ -8,35 +8,35 @@ use std::time::Duration;
 
 use super::super::super::failure::{ExchangeError, LinkError};
 use super::super::super::transport::Transport;
-use super::errors::{malformed, no_reply};
+use super::super::errors::{malformed, no_reply};
+use super::Scip1;
 use super::exchange::expected;
-use super::{ANY_SCAN, Session};
 use crate::ErrorKind;
 use crate::RawReply;
 use crate::codec::FoundFrame;
-use crate::protocol::{Command, MalformedError, Reply, ReplyError, Status};
+use crate::protocol::{Command, MalformedError, Protocol, Reply, ReplyError, Status};
 
 /// Number of unanswered fences after which a link counts as silent. Fewer if the sensor
 /// may have restarted at another baud rate.
 const FENCES: usize = 6;
 const FENCES_AT_A_BAUD_RATE: usize = 3;
 
-impl Session {
+impl Scip1 {
     /// Sends fences until the latest one is answered, and returns the status of that
     /// answer.
     ///
     /// # Errors
     ///
     /// [`LinkError::Silent`] if the sensor answers no fence.
-    pub(super) async fn fence(&mut self) -> Result<Status, ExchangeError> {
+    pub(in super::super) async fn fence(&mut self) -> Result<Status, ExchangeError> {
         let mut failure = LinkError::Silent(ErrorKind::disconnected(None));
-        let latency = self.latency(&ANY_SCAN);
-        for _ in 0..if self.is_searchable() { FENCES_AT_A_BAUD_RATE } else { FENCES } {
+        let latency = self.usual_latency();
+        for _ in 0..if self.line.is_searchable() { FENCES_AT_A_BAUD_RATE } else { FENCES } {
             match self.fence_once(latency).await {
                 Err(ExchangeError::Command(error)) => failure = LinkError::Silent(error),
                 outcome => return outcome,
             }
-            if self.is_closing() {
+            if self.line.is_closing() {
                 break;
             }
         }
@@ -45,32 +45,35 @@ impl Session {
 
     /// Sends one fence. Waits for its answer for `latency`, in addition to its time on
     /// the wire.
-    pub(super) async fn fence_once(&mut self, latency: Duration) -> Result<Status, ExchangeError> {
+    pub(in super::super) async fn fence_once(
+        &mut self,
+        latency: Duration,
+    ) -> Result<Status, ExchangeError> {
         let command = Command::Distances(self.unique_requests.fence());
-        self.is_settled = false;
-        self.shared.counters.stats().fences += 1;
+        self.line.is_settled = false;
+        self.line.shared.counters.stats().fences += 1;
         let mut latest_malformed = None;
         let answer = self.answer_to_fence(&command, latency, &mut latest_malformed).await;
         let answer = match answer {
             Err(timeout @ ExchangeError::Command(ErrorKind::Timeout { .. })) => {
-                let explained = explain_silence(&self.transport, &command);
+                let explained = explain_silence(&self.line.transport, &command);
                 Err(explained.or(latest_malformed).unwrap_or(timeout))
             }
             answer => answer,
         };
         match &answer {
             Ok(_) => {
-                self.is_settled = true;
+                self.line.is_settled = true;
                 self.unique_requests.clear();
             }
             Err(ExchangeError::Command(
                 error @ (ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. }),
             )) => {
-                self.shared.counters.stats().fence_timeouts += 1;
-                if self.transport.latest_at().is_none() {
+                self.line.shared.counters.stats().fence_timeouts += 1;
+                if self.line.transport.latest_at().is_none() {
                     // Another program may have left half a command. And only an LF tells an echo
                     // from a reply.
-                    self.transport.interrupt();
+                    self.line.transport.interrupt();
                 }
                 tracing::trace!(%error, "no answer to a fence");
             }
@@ -89,15 +92,16 @@ impl Session {
         latest_malformed: &mut Option<ExchangeError>,
     ) -> Result<Status, ExchangeError> {
         let bytes = command.bytes();
-        let within = self.time_limit(command, latency);
+        let within = self.wire_time(command) + latency;
         let late = |failure| no_reply(command, failure);
-        self.transport.send(&bytes, &expected(command, &bytes), within).await.map_err(late)?;
-        let sent = self.transport.sent().to_vec();
+        self.line.transport.send(&bytes, &expected(command, &bytes), within).await.map_err(late)?;
+        let sent = self.line.transport.sent().to_vec();
         loop {
-            let received = self.transport.next_frame().await.map_err(late)?;
+            let received = self.line.transport.next_frame().await.map_err(late)?;
             let frame = received.frame();
             if let FoundFrame::Reply(bytes) = frame {
-                self.observers.pass(|| RawReply {
+                self.line.observers.pass(|| RawReply {
+                    protocol: Protocol::Scip1,
                     command: None,
                     bytes,
                     received_at: received.times.received,
@@ -111,16 +115,18 @@ impl Session {
                 Ok(status) => {
                     let times = received.times;
                     drop(received);
-                    self.check_speed(command, status, &times);
+                    if let Some(baud_rate) = self.line.believed_baud_rate() {
+                        self.check_speed(command, baud_rate, status, &times);
+                    }
                     return Ok(status);
                 }
                 Err(ReplyError::Scip2 { status }) => {
-                    let error = ErrorKind::WrongProtocol { status, model: None };
+                    let error = ErrorKind::WrongProtocol { expected: Protocol::Scip1, status };
                     return Err(ExchangeError::Command(error));
                 }
                 Err(error) => error,
             };
-            let mut stats = self.shared.counters.stats();
+            let mut stats = self.line.shared.counters.stats();
             stats.malformed.count(&error);
             stats.bytes_skipped += received.wire_len();
             drop(stats);

@@ -1,12 +1,12 @@
 //! Switches the laser by `L`, and confirms it with a fence. A status alone proves nothing.
 
 use super::super::super::failure::ExchangeError;
-use super::Session;
-use super::errors::{not_confirmed, on_behalf_of};
+use super::super::errors::{not_confirmed, on_behalf_of};
+use super::Scip1;
 use super::exchange::refusal;
-use crate::protocol::{Command, Status};
+use crate::protocol::{Command, Status, Text};
 
-impl Session {
+impl Scip1 {
     /// Switches the laser, and checks whether the sensor measures: it refuses a `G` if and only if
     /// its laser is off.
     ///
@@ -14,13 +14,13 @@ impl Session {
     ///
     /// [`NotConfirmed`](crate::ErrorKind::NotConfirmed) if it stays as it is. [`Refused`](crate::ErrorKind::Refused) if
     /// the sensor refuses both `L0` and to measure: then nothing tells whether the laser is off.
-    pub(crate) async fn set_laser(&mut self, on: bool) -> Result<(), ExchangeError> {
+    pub(in super::super) async fn set_laser(&mut self, on: bool) -> Result<(), ExchangeError> {
         let command = if on { Command::LaserOn } else { Command::LaserOff };
         let (mut status, mut fence) = self.switch(command).await?;
         let is_doubtful = match status {
             // A refused `G` without an answer to `L0` proves little: its status may have been another
             // one. A driver that is closing has no time to ask again.
-            None => !on && !fence.is_ok() && !self.is_closing(),
+            None => !on && !fence.is_ok() && !self.line.is_closing(),
             // A status of success may have been another one, too.
             Some(status) => status.is_ok_for(&command) && fence.is_ok() != on,
         };
@@ -30,7 +30,11 @@ impl Session {
         match status {
             _ if fence.is_ok() != on => {
                 let refusal = on.then_some(fence);
-                Err(ExchangeError::Command(not_confirmed(&command, status, refusal)))
+                Err(ExchangeError::Command(not_confirmed(
+                    &command,
+                    status.map(Text::from),
+                    refusal.map(Text::from),
+                )))
             }
             Some(status) if !on && !status.is_ok_for(&command) => Err(refusal(&command, status)),
             _ => Ok(()),

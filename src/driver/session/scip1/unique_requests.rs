@@ -18,9 +18,9 @@ pub(super) struct Widened {
 
 /// Recently requested windows.
 #[derive(Debug, Default)]
-pub(super) struct UniqueRequests {
-    /// Windows of the last `G`s, polls and fences, newest first.
-    recent: [Option<Window>; Window::MAX_EXTRA_POINTS as usize],
+pub(in super::super) struct UniqueRequests {
+    /// [Keys](Window::key) of the last `G`s, polls and fences, newest first.
+    recent: [u64; Window::MAX_EXTRA_POINTS as usize],
     /// Steps requested alone since the last answered fence. The next fence must use
     /// another step.
     single: [u64; STEPS.div_ceil(64) as usize],
@@ -31,7 +31,7 @@ pub(super) struct UniqueRequests {
 impl UniqueRequests {
     /// Starts at a random step, so that a reply to an earlier process's fence hardly ever
     /// matches ours.
-    pub(super) fn random() -> Self {
+    pub(in super::super) fn random() -> Self {
         Self { fence: fastrand::u16(..STEPS), ..Self::default() }
     }
 
@@ -53,7 +53,7 @@ impl UniqueRequests {
     }
 
     fn is_latest(&self, asked: Window) -> bool {
-        self.recent.first() == Some(&Some(asked))
+        self.recent.first() == Some(&asked.key())
     }
 
     fn choose(&self, window: Window) -> (Window, usize) {
@@ -71,7 +71,7 @@ impl UniqueRequests {
 
     /// Number of `G`s since the latest one for this window.
     fn age(&self, asked: Window) -> usize {
-        let place = self.recent.iter().position(|recent| *recent == Some(asked));
+        let place = self.recent.iter().position(|recent| *recent == asked.key());
         place.unwrap_or(self.recent.len())
     }
 
@@ -97,7 +97,7 @@ impl UniqueRequests {
 
     fn record(&mut self, window: Window) {
         let [newest, second, _] = self.recent;
-        self.recent = [Some(window), newest, second];
+        self.recent = [window.key(), newest, second];
         let step = window.start();
         if window.steps() == 1
             && let Some(word) = self.single.get_mut(usize::from(step / 64))

@@ -1,8 +1,9 @@
 use tokio::time::advance;
 
-use super::super::super::transport::ReplyTimes;
-use super::super::super::transport::scripted_port::ScriptedPort;
+use super::super::transport::scripted_port::ScriptedPort;
+use super::scip1::{COPY_TIME, EchoKind, LIMITS};
 use super::*;
+use crate::protocol::Status;
 
 const NANOSECOND: Duration = Duration::from_nanos(1);
 
@@ -11,7 +12,7 @@ fn session(input: &[u8]) -> Session {
     let (reads, baud_rate) = ([Ok(input.to_vec())].into(), Some(BaudRate::B19200));
     let port = ScriptedPort { reads, baud_rate, ..ScriptedPort::default() };
     let shared = Arc::new(Shared::new(None));
-    Session::new(Box::new(port), None, Leftovers::default(), Arc::default(), shared)
+    Session::new(Box::new(port), None, None, Leftovers::unknown(), Arc::default(), shared)
 }
 
 #[tokio::test]
@@ -35,9 +36,12 @@ async fn an_early_reply_disproves_the_baud_rate() {
                 stamp: std::time::SystemTime::now(),
                 is_replayed: false,
             };
-            session.check_speed(&command, status, &times);
-            assert_eq!(session.is_baud_rate_disproved, is_disproved, "{command}");
-            assert_eq!(session.shared.counters.stats().baud_rate_disproved, is_disproved);
+            session.scip1.check_speed(&command, BaudRate::B19200, status, &times);
+            assert_eq!(session.scip1.line.is_baud_rate_disproved, is_disproved, "{command}");
+            assert_eq!(
+                session.scip1.line.shared.counters.stats().baud_rate_disproved,
+                is_disproved
+            );
             assert_eq!(session.believed_baud_rate().is_none(), is_disproved);
         }
     }
@@ -45,34 +49,33 @@ async fn an_early_reply_disproves_the_baud_rate() {
 
 #[tokio::test]
 async fn a_time_limit_includes_the_wire() {
-    let (session, latency) = (session(b""), Duration::from_millis(100));
+    let session = session(b"");
     // 3 bytes and 6 bytes of 520.8 us, and 10 and 1,576.
     for (command, wire) in
         [(Command::LaserOff, 4_687_500), (Command::Distances(Window::FULL), 826_041_666)]
     {
-        let limit = Duration::from_nanos(wire) + latency;
-        assert_eq!(session.time_limit(&command, latency), limit);
+        assert_eq!(session.scip1.wire_time(&command), Duration::from_nanos(wire));
     }
 }
 
 #[tokio::test(start_paused = true)]
 async fn a_copy_may_come_soon_after_a_reply() {
     let mut session = session(b"L0\n0\n\n");
-    assert!(!session.may_be_copied(), "there is nothing to copy");
-    session.exchange(Command::LaserOff, EchoKind::Common).await.unwrap();
+    assert!(!session.scip1.may_be_copied(), "there is nothing to copy");
+    session.scip1.exchange(Command::LaserOff, EchoKind::Common).await.unwrap();
     advance(COPY_TIME - NANOSECOND).await;
-    assert!(session.may_be_copied());
+    assert!(session.scip1.may_be_copied());
     advance(NANOSECOND).await;
-    assert!(!session.may_be_copied());
+    assert!(!session.scip1.may_be_copied());
 }
 
 #[tokio::test(start_paused = true)]
 async fn a_copy_that_waits_in_the_port_answers_no_command() {
     let mut session = session(b"L0\n0\n\n");
-    session.exchange(Command::LaserOff, EchoKind::Common).await.unwrap();
+    session.scip1.exchange(Command::LaserOff, EchoKind::Common).await.unwrap();
     let copy =
         ScriptedPort { reads: [Ok(b"L0\n0\n\n".to_vec())].into(), ..ScriptedPort::default() };
-    session.transport = Transport::new(Box::new(copy), &LIMITS, false);
+    session.scip1.line.transport = Transport::new(Box::new(copy), &LIMITS, false);
     assert!(!session.needs_probe());
-    assert!(session.command(Command::LaserOff).await.is_err());
+    assert!(session.scip1.command(Command::LaserOff).await.is_err());
 }

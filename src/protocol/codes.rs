@@ -8,7 +8,7 @@
 /// assert_eq!(Codes::of(b"UTM-30LX").meaning(3), Some("interference"));
 /// assert_eq!(Codes::of(b"UTM-30LX").meaning(6), None); // a distance
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum Codes {
     /// 0 to 19: URG, UBG and UHG (p. 12).
@@ -29,7 +29,7 @@ impl Codes {
             [b'U', b'T', b'M', b'-', rest @ ..] if !rest.windows(3).any(|part| part == b"-EW") => {
                 Self::Utm
             }
-            [b'U', b'T', b'M' | b'X', b'-', ..] | [b'U', b'S', b'T', ..] => Self::Ethernet,
+            [b'U', b'T', b'M', b'-', ..] | [b'U', b'S', b'T', ..] => Self::Ethernet,
             _ => Self::Unknown,
         }
     }

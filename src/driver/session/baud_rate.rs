@@ -1,5 +1,5 @@
-//! Finds the sensor's baud rate and changes it. A status alone proves nothing: the sensor
-//! has to answer a fence at the new baud rate.
+//! Finds the sensor's baud rate and its protocol, and changes the baud rate. A status alone proves
+//! nothing: the sensor has to answer at the new baud rate.
 
 use std::io;
 use std::sync::Arc;
@@ -7,34 +7,34 @@ use std::time::Duration;
 
 use tokio::time::{Instant, sleep};
 
-use super::super::super::failure::{ExchangeError, LinkError};
-use super::errors::{not_confirmed, on_behalf_of};
-use super::exchange::accepted;
-use super::{ANY_SCAN, Session};
-use crate::protocol::{Command, MalformedError};
+use super::super::failure::{ExchangeError, LinkError};
+use super::Session;
+use crate::protocol::MalformedError;
 use crate::{BaudRate, ErrorKind};
 
-/// Time limit of a fence during the baud rate search, in addition to the wire time of its
-/// bytes.
+/// How long the sensor may take to answer during the baud rate search, in addition to the time of
+/// the bytes on the wire.
 const SEARCH_LATENCY: Duration = Duration::from_millis(400);
-/// Time from the reply to `S` until the new baud rate applies. Most sensors take one
+/// Time from the reply until the new baud rate applies. Most sensors take one
 /// revolution, some take two.
 const CHANGE_TIME: Duration = Duration::from_millis(200);
 
 impl Session {
     /// Looks for the sensor at each of `baud_rates`, repeatedly until `deadline`. If the port
-    /// cannot change its baud rate, tries only the current one.
+    /// cannot change its baud rate, tries only the current one. Also finds the protocol: a fence of
+    /// SCIP 1.1 harms no sensor, and one of SCIP 2 refuses it in its own way.
     pub(crate) async fn find(
         &mut self,
         baud_rates: &[BaudRate],
         deadline: Instant,
     ) -> Result<(), ExchangeError> {
-        let before = self.transport.received();
+        self.scip2 = None;
+        let before = self.scip1.line.transport.received();
         let mut malformed = None;
         loop {
             let mut usable = false;
             for &baud_rate in baud_rates {
-                let mut latency = self.latency(&ANY_SCAN);
+                let mut latency = self.scip1.usual_latency();
                 if self.baud_rate().is_some() {
                     match self.set_port_baud_rate(baud_rate).await {
                         Ok(()) => latency = SEARCH_LATENCY,
@@ -46,9 +46,9 @@ impl Session {
                 usable = true;
                 // The system may have buffered more bytes than the flood limit of one
                 // exchange allows.
-                self.discard_pending().await?;
-                match self.fence_once(latency).await {
-                    Ok(_) => return Ok(()),
+                self.scip1.line.discard_pending().await?;
+                match self.scip1.fence_once(latency).await {
+                    Ok(_) => return self.begin_in_scip1().await,
                     Err(ExchangeError::Command(ErrorKind::Timeout { .. })) => {}
                     // One malformed answer may be noise. Report it only if no attempt does
                     // better.
@@ -57,9 +57,12 @@ impl Session {
                     {
                         malformed = Some(error);
                     }
-                    // Something other than a SCIP 1.1 sensor answers.
+                    Err(ExchangeError::Command(error @ ErrorKind::WrongProtocol { .. })) => {
+                        return self.begin_in_scip2(error).await;
+                    }
+                    // Something other than a sensor answers.
                     Err(ExchangeError::Command(error)) => {
-                        return Err(LinkError::Silent(self.name_model(error).await).into());
+                        return Err(LinkError::Silent(error).into());
                     }
                     Err(lost) => return Err(lost),
                 }
@@ -67,8 +70,8 @@ impl Session {
                     let silence = ErrorKind::NoAnswer {
                         baud_rate: self.baud_rate().filter(|_| !self.is_searchable()),
                         searched: self.is_searchable(),
-                        bytes: self.transport.received() - before,
-                        words: self.transport.words(),
+                        bytes: self.scip1.line.transport.received() - before,
+                        words: self.scip1.line.transport.words(),
                     };
                     return Err(LinkError::Silent(malformed.unwrap_or(silence)).into());
                 }
@@ -84,15 +87,14 @@ impl Session {
     /// Moves the sensor and the port to another baud rate. On failure either both are back at
     /// the old baud rate, or the result is a [`LinkError`]: after `Silent` the caller has to search.
     pub(crate) async fn set_baud_rate(&mut self, baud_rate: BaudRate) -> Result<(), ExchangeError> {
-        let command = Command::BaudRate(baud_rate);
         let old = self.baud_rate();
         if old == Some(baud_rate) {
             // The sensor may have restarted unnoticed.
-            return self.fence().await.map(drop).map_err(on_behalf_of(command));
+            return self.confirm_baud_rate(baud_rate).await;
         }
         // Try the port first: the sensor must not move to a baud rate that the port lacks.
         if let Err(error) = self.set_port_baud_rate(baud_rate).await {
-            let is_adjustable = self.transport.is_adjustable();
+            let is_adjustable = self.scip1.line.transport.is_adjustable();
             if let Some(old) = old.filter(|_| is_adjustable) {
                 self.set_port_baud_rate(old).await.map_err(lost)?;
             }
@@ -103,20 +105,20 @@ impl Session {
             }));
         }
         let Some(old) = old else {
-            // Over USB the sensor accepts `S` without effect (C-42-3320-A p. 5).
-            return accepted(&command, self.command_twice(command).await?).map(drop);
+            return self.send_baud_rate_over_usb(baud_rate).await;
         };
         self.set_port_baud_rate(old).await.map_err(lost)?;
-        let status = match self.command(command).await {
-            Ok(answer) => Some(accepted(&command, answer)?.reply.status()),
+        let status = match self.send_baud_rate(baud_rate).await {
+            Ok(status) => Some(status),
             // Without a reply, nothing tells whether the sensor has changed.
             Err(ExchangeError::Command(
                 ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
             )) => None,
             Err(error) => return Err(error),
         };
-        let not_confirmed = not_confirmed(&command, status, None);
-        if status.is_none() && self.is_closing() {
+        let is_silent = status.is_none();
+        let not_confirmed = self.baud_rate_not_confirmed(baud_rate, status);
+        if is_silent && self.scip1.line.is_closing() {
             return Err(LinkError::Silent(not_confirmed).into());
         }
         sleep(CHANGE_TIME).await;
@@ -125,24 +127,29 @@ impl Session {
             return Ok(());
         }
         self.set_port_baud_rate(old).await.map_err(lost)?;
-        if !self.is_closing() && self.answers(3).await? {
+        if !self.scip1.line.is_closing() && self.answers(3).await? {
             return Err(ExchangeError::Command(not_confirmed));
         }
         Err(LinkError::Silent(not_confirmed).into())
     }
 
-    /// Checks whether the sensor answers one of `tries` fences. Sends only one while the
+    /// Checks whether the sensor answers one of `tries` commands. Sends only one while the
     /// driver is closing.
     async fn answers(&mut self, tries: usize) -> Result<bool, ExchangeError> {
         for _ in 0..tries {
-            match self.fence_once(SEARCH_LATENCY).await {
-                Ok(_) => return Ok(true),
-                Err(ExchangeError::Command(_)) if self.is_closing() => break,
+            match self.probe_once(SEARCH_LATENCY).await {
+                Ok(()) => return Ok(true),
+                Err(ExchangeError::Command(_)) if self.scip1.line.is_closing() => break,
                 Err(ExchangeError::Command(_)) => {}
                 Err(failure) => return Err(failure),
             }
         }
         Ok(false)
+    }
+
+    async fn set_port_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+        self.scip1.line.is_settled = false;
+        self.scip1.line.set_baud_rate(baud_rate).await
     }
 }
 

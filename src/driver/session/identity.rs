@@ -1,11 +1,12 @@
-//! Identifies the sensor by `V`. No checksum protects its reply: one flipped bit must neither
-//! reject a sensor, nor become the expected number, nor move the times of a session.
+//! Identifies the sensor. No checksum protects a reply to `V`, and one of `VV` does not see every
+//! bit: one flipped bit must neither reject a sensor, nor become the expected number, nor move the
+//! times of a session.
 
-use super::super::super::failure::ExchangeError;
-use super::super::{Identity, MotorSpeed};
-use super::Session;
-use super::exchange::{Answer, accepted};
-use crate::protocol::{Command, Text, Version};
+use super::super::failure::ExchangeError;
+use super::{Identity, MotorSpeed, Session};
+use crate::Geometry;
+use crate::protocol::scip2::Parameters;
+use crate::protocol::{Text, Version};
 use crate::state::VersionReply;
 
 /// Number of times to ask a sensor for its version until two replies agree. If no two do, the last
@@ -22,33 +23,35 @@ impl Session {
         expected_number: Option<&Text>,
         expected_speed: Option<MotorSpeed>,
     ) -> Result<Identity, ExchangeError> {
-        let enough = if self.transport.delivers_intact() { 1 } else { 2 };
+        let enough = if self.delivers_intact() { 1 } else { 2 };
+        let told = match self.scip2() {
+            Some(mut scip2) => Some(scip2.parameters().await?),
+            None => None,
+        };
+        let geometry = told.as_ref().map_or(Geometry::URG_04LX, Parameters::geometry);
+        let told = told.map(|told| MotorSpeed::RevolutionsPerMinute(told.motor_speed));
         let mut replies = Vec::new();
         loop {
             let latest = self.version().await?;
             replies.push(latest.clone());
             let confirmed = find_number(&replies, enough, expected_number);
-            let motor_speed = find_speed(&replies, enough, expected_speed);
+            let motor_speed = told.or_else(|| find_speed(&replies, enough, expected_speed));
             if confirmed.is_some() && motor_speed.is_some() || replies.len() == TRIES {
                 let reply = confirmed.cloned();
                 let is_serial_number_confirmed =
                     reply.as_ref().is_some_and(|reply| !reply.version.serial_number.is_empty());
                 let reply = reply.unwrap_or(latest);
-                return Ok(Identity { reply, is_serial_number_confirmed, motor_speed });
+                return Ok(Identity { reply, is_serial_number_confirmed, motor_speed, geometry });
             }
         }
     }
 
     /// Reads the version once.
     async fn version(&mut self) -> Result<VersionReply, ExchangeError> {
-        let command = Command::Version;
-        let Answer { reply, times } = accepted(&command, self.command_twice(command).await?)?;
-        Ok(VersionReply {
-            version: Version::from_reply(&reply),
-            frame: reply.version_frame().into(),
-            received_at: times.received,
-            stamp: times.stamp,
-        })
+        match self.scip2() {
+            Some(mut scip2) => scip2.version().await,
+            None => self.scip1.version().await,
+        }
     }
 }
 

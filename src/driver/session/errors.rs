@@ -1,0 +1,65 @@
+//! Errors of commands. They name the operation that the driver was asked for, and the command as
+//! text.
+
+use std::time::Duration;
+
+use super::super::failure::{ExchangeError, LinkError};
+use super::super::transport::NoFrame;
+use crate::ErrorKind;
+use crate::error::Operation;
+use crate::protocol::{MalformedError, Text};
+
+/// Command that can fail.
+pub(super) trait Asked {
+    /// What the driver wanted.
+    fn operation(&self) -> Operation;
+
+    /// Command as it is sent.
+    fn text(&self) -> Text;
+}
+
+pub(super) fn timeout(asked: &impl Asked, after: Duration) -> ErrorKind {
+    ErrorKind::Timeout { operation: asked.operation(), command: asked.text(), after }
+}
+
+pub(super) fn malformed(asked: &impl Asked, source: MalformedError) -> ErrorKind {
+    ErrorKind::Malformed { operation: asked.operation(), command: asked.text(), source }
+}
+
+pub(super) fn refused(
+    asked: &impl Asked,
+    status: Text,
+    meaning: Option<&'static str>,
+) -> ErrorKind {
+    ErrorKind::Refused { operation: asked.operation(), command: asked.text(), status, meaning }
+}
+
+pub(super) fn not_confirmed(
+    asked: &impl Asked,
+    status: Option<Text>,
+    refusal: Option<Text>,
+) -> ErrorKind {
+    ErrorKind::NotConfirmed { operation: asked.operation(), command: asked.text(), status, refusal }
+}
+
+/// Converts the absence of a reply.
+pub(super) fn no_reply(asked: &impl Asked, failure: NoFrame) -> ExchangeError {
+    match failure {
+        NoFrame::Late { after } => ExchangeError::Command(timeout(asked, after)),
+        NoFrame::Link(failure) => failure.into(),
+    }
+}
+
+/// Names `asked` in the error of a command that was sent on its behalf: the caller knows nothing of
+/// the other one.
+pub(super) fn on_behalf_of(asked: impl Asked) -> impl FnOnce(ExchangeError) -> ExchangeError {
+    move |error| match error {
+        ExchangeError::Link(LinkError::Silent(error)) => LinkError::Silent(match error {
+            ErrorKind::Timeout { after, .. } => timeout(&asked, after),
+            ErrorKind::Malformed { source, .. } => malformed(&asked, source),
+            error => error,
+        })
+        .into(),
+        other => other,
+    }
+}

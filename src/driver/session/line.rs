@@ -1,0 +1,90 @@
+//! [`Line`]: an open port with what both protocols know of it.
+
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::super::failure::ExchangeError;
+use super::super::observers::ReplyObservers;
+use super::super::transport::{ReplyTimes, Transport};
+use crate::BaudRate;
+use crate::state::Shared;
+
+/// Open port, and what is known of it in either protocol.
+pub(super) struct Line {
+    pub(super) transport: Transport,
+    /// True if no reply older than the next command can be on its way.
+    pub(super) is_settled: bool,
+    /// True once a reply arrived faster than the port's baud rate allows, as on a
+    /// pseudo-terminal, a USB adapter or a server on a fast line.
+    pub(super) is_baud_rate_disproved: bool,
+    /// How long the sensor may take to begin its answer, if set.
+    pub(super) reply_latency: Option<Duration>,
+    pub(super) observers: Arc<ReplyObservers>,
+    pub(super) shared: Arc<Shared>,
+}
+
+impl Line {
+    /// Returns true while the driver is closing. A silent sensor then gets no second try.
+    pub(super) fn is_closing(&self) -> bool {
+        self.shared.closing.is_announced()
+    }
+
+    /// Baud rate of the port, unless it has none.
+    pub(super) fn baud_rate(&self) -> Option<BaudRate> {
+        self.transport.baud_rate()
+    }
+
+    /// Baud rate of the line, unless it has none or a reply has disproved it.
+    pub(super) fn believed_baud_rate(&self) -> Option<BaudRate> {
+        self.baud_rate().filter(|_| !self.is_baud_rate_disproved)
+    }
+
+    /// Returns true if the sensor can be searched for at several baud rates.
+    pub(super) fn is_searchable(&self) -> bool {
+        self.transport.is_adjustable() && self.baud_rate().is_some()
+    }
+
+    /// Sets this side's baud rate. Forgets what is known of the line at the former one.
+    pub(super) async fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+        self.is_baud_rate_disproved = false;
+        self.shared.counters.stats().baud_rate_disproved = false;
+        self.transport.set_baud_rate(baud_rate).await
+    }
+
+    /// Drops pending input. Returns the number of bytes.
+    pub(super) async fn discard_pending(&mut self) -> Result<u64, ExchangeError> {
+        let dropped = self.transport.discard_pending().await?;
+        self.count_dropped(dropped);
+        Ok(dropped)
+    }
+
+    /// Does the same if that needs no waiting. Returns `None` if it does.
+    pub(super) fn try_discard_pending(&mut self) -> Result<Option<u64>, ExchangeError> {
+        let Some(dropped) = self.transport.try_discard_pending() else { return Ok(None) };
+        let dropped = dropped?;
+        self.count_dropped(dropped);
+        Ok(Some(dropped))
+    }
+
+    fn count_dropped(&self, bytes: u64) {
+        if bytes > 0 {
+            self.shared.counters.stats().bytes_skipped += bytes;
+        }
+    }
+
+    /// Checks whether a command and its reply took less time than their `wire_time`: then the port's
+    /// baud rate is wrong. The reply must not be an older one.
+    pub(super) fn check_speed(&mut self, wire_time: Duration, times: &ReplyTimes) {
+        if times.received - times.requested < wire_time {
+            self.disprove_baud_rate();
+        }
+    }
+
+    #[cold]
+    fn disprove_baud_rate(&mut self) {
+        self.is_baud_rate_disproved = true;
+        self.shared.counters.stats().baud_rate_disproved = true;
+        tracing::debug!("replies come faster than the baud rate can carry");
+    }
+}

@@ -1,0 +1,253 @@
+//! SCIP 2: each request has a label of its own, which its reply echoes. So a frame with another label
+//! is older, and is dropped. No fence is needed.
+//!
+//! The driver asks for the newest scan each time (`GD`). `exchange` sends one request and waits for
+//! its reply.
+
+mod errors;
+mod exchange;
+
+use std::time::Duration;
+
+use self::exchange::{Answer, accepted, text};
+use super::super::failure::{ExchangeError, LinkError};
+use super::super::transport::{Expected, Limits};
+use super::Acquired;
+use super::errors::{malformed, no_reply, not_confirmed, on_behalf_of};
+use super::line::Line;
+use crate::codec::FoundFrame;
+use crate::protocol::scip2::{
+    Command, Content, Data, Labels, Parameters, Request, Stamp, Status, Steps,
+};
+use crate::protocol::{MalformedError, Protocol, Text};
+use crate::state::VersionReply;
+use crate::{BaudRate, Error, ErrorKind, Window};
+
+/// Longest reply: `ME` of 1,081 steps has 6,717 bytes. Another program may have left a stream of
+/// these, 40 a second.
+pub(super) const LIMITS: Limits = Limits { frame: 8 * 1024, frames: 256, bytes: 1024 * 1024 };
+/// Number of unanswered probes after which a link counts as silent. Fewer if the sensor may have
+/// restarted at another baud rate.
+const PROBES: usize = 6;
+const PROBES_AT_A_BAUD_RATE: usize = 3;
+/// Command that makes a URG-04LX leave SCIP 1.1. It has no label, and is answered in SCIP 1.1.
+const ENTER: &[u8] = b"SCIP2.0";
+/// Number of answers to it that are read, at most.
+const ENTRIES: usize = 4;
+
+/// What is known of the sensor in SCIP 2.
+#[derive(Debug)]
+pub(super) struct State {
+    labels: Labels,
+    /// True if a frame came that belongs to no request of this session: another program may have
+    /// left a stream.
+    has_stray_frames: bool,
+    /// Smallest selection that the sensor measures.
+    one_step: Option<Steps>,
+}
+
+impl State {
+    pub(super) fn new() -> Self {
+        Self {
+            // Random, so that no reply to an earlier process matches a request.
+            labels: Labels::starting_at(fastrand::u64(..)),
+            has_stray_frames: false,
+            one_step: None,
+        }
+    }
+}
+
+/// Line to a sensor that speaks SCIP 2.
+pub(super) struct Scip2<'a> {
+    pub(super) line: &'a mut Line,
+    pub(super) state: &'a mut State,
+}
+
+/// Creates a request to change the baud rate, without a label.
+pub(super) fn baud_rate_request(baud_rate: BaudRate) -> Request {
+    Request::new(Command::BaudRate(baud_rate), None)
+}
+
+impl Scip2<'_> {
+    /// Makes a URG-04LX speak SCIP 2, whose laser is then off.
+    ///
+    /// # Errors
+    ///
+    /// [`WrongProtocol`](ErrorKind::WrongProtocol) if it only knows SCIP 1.1.
+    pub(super) async fn enter(&mut self) -> Result<(), ExchangeError> {
+        let mut answer = self.enter_once().await;
+        for _ in 1..ENTRIES {
+            // A flipped bit changes the status unseen. Once in SCIP 2, the sensor refuses with two
+            // characters and their sum.
+            match &answer {
+                Ok(status) if matches!(status.as_bytes(), [b'0'] | [_, _, _]) => {
+                    return self.stop().await;
+                }
+                Err(ExchangeError::Link(_)) => break,
+                _ if self.line.is_closing() => break,
+                _ => answer = self.enter_once().await,
+            }
+        }
+        let (expected, status) = (Protocol::Scip2, answer?);
+        Err(LinkError::Silent(ErrorKind::WrongProtocol { expected, status }).into())
+    }
+
+    /// Sends the command that makes a URG-04LX speak SCIP 2, and returns the status.
+    async fn enter_once(&mut self) -> Result<Text, ExchangeError> {
+        let request = Request::new(Command::Version, None);
+        let late = |failure| no_reply(&request, failure);
+        let within = self.time_limit(&request, self.latency(request.command()));
+        let expected = Expected { reply: None, limits: &LIMITS };
+        self.line.transport.send(ENTER, &expected, within).await.map_err(late)?;
+        loop {
+            let received = self.line.transport.next_frame().await.map_err(late)?;
+            if let FoundFrame::Reply(frame) = received.frame()
+                && let Some(status) = frame.strip_prefix(ENTER)
+            {
+                return Ok(status.trim_ascii().into());
+            }
+        }
+    }
+
+    /// Stops a stream of scans that another program may have left. The laser is off then, as after
+    /// power-up.
+    pub(super) async fn stop(&mut self) -> Result<(), ExchangeError> {
+        let mut failure = None;
+        for _ in 0..PROBES_AT_A_BAUD_RATE {
+            let latency = self.latency(&Command::LaserOff);
+            match self.exchange(Command::LaserOff, latency).await {
+                // Whatever it answers: it may be unable to stop now.
+                Ok(_) => {
+                    self.state.has_stray_frames = false;
+                    return Ok(());
+                }
+                Err(ExchangeError::Command(error)) => failure = Some(error),
+                Err(lost) => return Err(lost),
+            }
+            if self.line.is_closing() {
+                break;
+            }
+        }
+        let silent = failure.unwrap_or_else(|| ErrorKind::disconnected(None));
+        Err(LinkError::Silent(silent).into())
+    }
+
+    /// Reads the version once.
+    pub(super) async fn version(&mut self) -> Result<VersionReply, ExchangeError> {
+        let answer = self.ask_twice(Command::Version).await?;
+        let Answer { content: Content::Version(version), frame, times, .. } = answer else {
+            return Err(self.no_data(Command::Version));
+        };
+        Ok(VersionReply {
+            protocol: Protocol::Scip2,
+            version,
+            frame: frame.into(),
+            received_at: times.received,
+            stamp: times.stamp,
+        })
+    }
+
+    /// Reads what the sensor measures.
+    pub(super) async fn parameters(&mut self) -> Result<Parameters, ExchangeError> {
+        let Content::Parameters(told) = self.ask_twice(Command::Parameters).await?.content else {
+            return Err(self.no_data(Command::Parameters));
+        };
+        let first = *told.steps.start();
+        self.state.one_step = Steps::new(first..=first).ok();
+        Ok(told)
+    }
+
+    /// Asks for one step until there is an answer, and returns its status: a refusal while the sensor
+    /// does not measure.
+    pub(super) async fn probe(&mut self) -> Result<Status, ExchangeError> {
+        let mut failure = LinkError::Silent(ErrorKind::disconnected(None));
+        let tries = if self.line.is_searchable() { PROBES_AT_A_BAUD_RATE } else { PROBES };
+        for _ in 0..tries {
+            match self.probe_once(self.latency(&self.one_step())).await {
+                Err(ExchangeError::Command(error)) => failure = LinkError::Silent(error),
+                outcome => return outcome,
+            }
+            if self.line.is_closing() {
+                break;
+            }
+        }
+        Err(failure.into())
+    }
+
+    /// Asks for one step. Any status is an answer.
+    pub(super) async fn probe_once(&mut self, latency: Duration) -> Result<Status, ExchangeError> {
+        self.exchange(self.one_step(), latency).await.map(|answer| answer.status)
+    }
+
+    fn one_step(&self) -> Command {
+        match self.state.one_step {
+            Some(steps) => Command::Latest { data: Data::Distances, steps },
+            None => Command::Version,
+        }
+    }
+
+    /// Asks for the newest scan.
+    pub(super) async fn acquire(&mut self, window: Window) -> Result<Acquired, ExchangeError> {
+        if self.state.has_stray_frames {
+            self.stop().await?;
+        }
+        self.line.shared.counters.count_poll();
+        let steps = Steps::new(window.start()..=window.end());
+        let steps = steps.and_then(|steps| steps.with_cluster_count(window.cluster_count()));
+        let steps = steps.map_err(|error| Error::other(error).into_kind());
+        let steps = steps.map_err(ExchangeError::Command)?;
+        let command = Command::Latest { data: Data::Distances, steps };
+        let answer = accepted(&command, self.exchange(command, self.latency(&command)).await?)?;
+        let Answer { content: Content::Scan(scan), times, .. } = answer else {
+            return Err(self.no_data(command));
+        };
+        let clock = match scan.stamp() {
+            Stamp::Milliseconds(time) => Some(time),
+            Stamp::Microseconds(_) => None,
+        };
+        Ok(Acquired { values: scan.into_values().into(), first: 0, clock, times })
+    }
+
+    /// Switches the laser, and checks by a probe whether the sensor measures.
+    pub(super) async fn set_laser(&mut self, on: bool) -> Result<(), ExchangeError> {
+        let command = if on { Command::LaserOn } else { Command::LaserOff };
+        let status = self.ask_twice(command).await?.status;
+        let request = Request::new(command, None);
+        let probe = self.probe().await.map_err(on_behalf_of(request))?;
+        if probe.is_ok() == on {
+            return Ok(());
+        }
+        let refusal = on.then(|| text(probe));
+        Err(ExchangeError::Command(not_confirmed(&request, Some(text(status)), refusal)))
+    }
+
+    /// Sends `SS`, and returns the status if the sensor obeys.
+    pub(super) async fn send_baud_rate(
+        &mut self,
+        baud_rate: BaudRate,
+    ) -> Result<Text, ExchangeError> {
+        let command = Command::BaudRate(baud_rate);
+        let answer = self.exchange(command, self.latency(&command)).await?;
+        accepted(&command, answer).map(|answer| text(answer.status))
+    }
+
+    /// Sends a command that may be sent twice, once more if there was no answer, and fails unless the
+    /// sensor accepts it.
+    async fn ask_twice(&mut self, command: Command) -> Result<Answer, ExchangeError> {
+        let latency = self.latency(&command);
+        let mut outcome = self.exchange(command, latency).await;
+        if let Err(ExchangeError::Command(ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. })) =
+            outcome
+            && !self.line.is_closing()
+        {
+            outcome = self.exchange(command, latency).await;
+        }
+        accepted(&command, outcome?)
+    }
+
+    /// Error for a reply without the data that its command has.
+    fn no_data(&self, command: Command) -> ExchangeError {
+        let request = Request::new(command, None);
+        ExchangeError::Command(malformed(&request, MalformedError::NoData))
+    }
+}

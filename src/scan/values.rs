@@ -1,0 +1,110 @@
+//! [`Values`]: the values of a reply, in as few bits as its protocol needs.
+
+use std::fmt;
+use std::slice;
+use std::sync::Arc;
+
+/// Values of a reply. Scans of several windows may share them.
+#[derive(Debug, Clone)]
+pub(crate) enum Values {
+    /// SCIP 1.1: 12 bits.
+    Short(Arc<[u16]>),
+    /// SCIP 2: 18 bits.
+    Long(Arc<[u32]>),
+}
+
+impl Values {
+    /// Returns `count` values from `first` on, or none if there are fewer.
+    pub(super) fn part(&self, first: usize, count: usize) -> Part<'_> {
+        match self {
+            Self::Short(all) => Part::Short(all.get(first..first + count).unwrap_or_default()),
+            Self::Long(all) => Part::Long(all.get(first..first + count).unwrap_or_default()),
+        }
+    }
+}
+
+impl From<Arc<[u16]>> for Values {
+    fn from(values: Arc<[u16]>) -> Self {
+        Self::Short(values)
+    }
+}
+
+impl From<Arc<[u32]>> for Values {
+    fn from(values: Arc<[u32]>) -> Self {
+        Self::Long(values)
+    }
+}
+
+/// Some of the [`Values`] of a reply. Equal numbers are equal, however they are stored.
+#[derive(Clone, Copy)]
+pub(crate) enum Part<'a> {
+    Short(&'a [u16]),
+    Long(&'a [u32]),
+}
+
+impl<'a> Part<'a> {
+    pub(super) fn iter(self) -> PartIter<'a> {
+        match self {
+            Self::Short(values) => PartIter::Short(values.iter()),
+            Self::Long(values) => PartIter::Long(values.iter()),
+        }
+    }
+}
+
+impl PartialEq for Part<'_> {
+    fn eq(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Short(one), Self::Short(other)) => one == other,
+            (Self::Long(one), Self::Long(other)) => one == other,
+            _ => self.iter().eq(other.iter()),
+        }
+    }
+}
+
+impl fmt::Debug for Part<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_list().entries(self.iter()).finish()
+    }
+}
+
+#[cfg(feature = "serde")]
+impl serde::Serialize for Part<'_> {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.iter())
+    }
+}
+
+/// Iterator over the values of a [`Part`].
+#[derive(Clone)]
+pub(super) enum PartIter<'a> {
+    Short(slice::Iter<'a, u16>),
+    Long(slice::Iter<'a, u32>),
+}
+
+impl Iterator for PartIter<'_> {
+    type Item = u32;
+
+    fn next(&mut self) -> Option<u32> {
+        match self {
+            Self::Short(values) => values.next().map(|value| u32::from(*value)),
+            Self::Long(values) => values.next().copied(),
+        }
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        match self {
+            Self::Short(values) => values.size_hint(),
+            Self::Long(values) => values.size_hint(),
+        }
+    }
+
+    /// Chooses between the two once, not for each value.
+    fn fold<B, F: FnMut(B, u32) -> B>(self, init: B, mut f: F) -> B {
+        match self {
+            Self::Short(values) => values.fold(init, |sum, value| f(sum, u32::from(*value))),
+            Self::Long(values) => values.fold(init, |sum, value| f(sum, *value)),
+        }
+    }
+}
+
+impl ExactSizeIterator for PartIter<'_> {}

@@ -1,0 +1,73 @@
+//! Sensors that refuse to measure for another reason than their laser.
+
+use std::time::Duration;
+
+use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader, DuplexStream, duplex, split};
+use tokio::time::{Instant, sleep, timeout_at};
+use tokio_scip::{Error, Rate, ScanStream, Sensor, Window};
+
+use crate::common::builder;
+
+const VERSION: &str = "00P\nVEND:Hokuyo Automatic Co., Ltd.;;\nPROD:UST-10LX;M\nFIRM:4.1.0;I\n\
+    PROT:SCIP 2.2;P\nSERI:H0000001;6";
+const PARAMETERS: &str = "00P\nMODL:UST-10LX;D\nDMIN:23;7\nDMAX:60000;J\nARES:1440;^\nAMIN:0;?\n\
+    AMAX:1080;Z\nAFRT:540;0\nSCAN:2400;U";
+
+/// Returns a sensor that answers within a millisecond, and does not know `GD`.
+fn sensor_without_gd() -> DuplexStream {
+    let (near, far) = duplex(4096);
+    tokio::spawn(async move {
+        let (read, mut write) = split(far);
+        let mut commands = BufReader::new(read).lines();
+        while let Ok(Some(command)) = commands.next_line().await {
+            let reply = match command.get(..2) {
+                Some("VV") => VERSION,
+                Some("PP") => PARAMETERS,
+                Some("BM" | "QT") => "00P",
+                Some(_) => "0Ee",
+                None => continue,
+            };
+            sleep(Duration::from_millis(1)).await;
+            let frame = format!("{command}\n{reply}\n\n");
+            if write.write_all(frame.as_bytes()).await.is_err() {
+                return;
+            }
+        }
+    });
+    near
+}
+
+/// Reads a stream for five seconds, and returns its errors.
+async fn errors_of(stream: &mut ScanStream) -> Vec<Error> {
+    let (mut errors, end) = (Vec::new(), Instant::now() + Duration::from_secs(5));
+    while let Ok(item) = timeout_at(end, stream.next()).await {
+        errors.extend(item.unwrap().err());
+    }
+    errors
+}
+
+async fn refused() -> (Sensor, Vec<Error>) {
+    crate::common::limit::limit();
+    let sensor = builder().attach(sensor_without_gd()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+    let errors = errors_of(&mut stream).await;
+    (sensor, errors)
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_refusal_to_measure_is_named() {
+    let (_sensor, errors) = refused().await;
+    let [error] = &errors[..] else { panic!("{errors:?}") };
+    let text = error.to_string();
+    for part in ["BM", "'00'", "refuses to measure", "'0E'"] {
+        assert!(text.contains(part), "{text}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_refused_stream_is_polled_once_a_revolution() {
+    let (sensor, _) = refused().await;
+    let polls = sensor.stats().polls;
+    // 200 revolutions.
+    assert!((180..=210).contains(&polls), "{polls}");
+}
