@@ -38,7 +38,7 @@ fn an_invalid_command_line_exits_with_2() {
         "",
         "fly",
         "stream emulated --fast",
-        "stream tcp://bridge",
+        "stream tcp://bridge:",
         "stream emulated --rate 0",
         "stream emulated --count 0",
         "stream emulated --duration 0s",
