@@ -22,7 +22,7 @@ pub enum Codes {
 }
 
 impl Codes {
-    /// Returns the codes of a model by its name, as in [`Parameters::model`](super::Parameters).
+    /// Returns the codes of a model by its name, as in [`Parameters::model`](super::scip2::Parameters).
     pub fn of(model: &[u8]) -> Self {
         match model {
             [b'U', b'R' | b'B' | b'H', b'G', ..] => Self::Urg,
@@ -35,7 +35,7 @@ impl Codes {
     }
 
     /// Returns why `value` is no distance, or `None` if it is one. It may still be outside of
-    /// [`Parameters::distances`](super::Parameters).
+    /// [`Parameters::distances`](super::scip2::Parameters).
     pub const fn meaning(self, value: u32) -> Option<&'static str> {
         Some(match (self, value) {
             (Self::Urg, 0) => "an object may be at 22 m",
