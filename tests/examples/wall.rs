@@ -119,8 +119,11 @@ async fn hands_are_cursors_where_they_are() {
         let outside = walk((0.2, -0.2), (0.8, -0.2), 17_000, 0.4);
         let hands = touches.iter().chain(&walks).chain([&outside]);
         let wall = Wall::start(scene(seed, hands), None).await;
-        // The hand at the last corner may still be there.
-        let mut last = wall.next_with(0).await;
+        // The hand at the last corner may still be there, seen in some scans.
+        let mut last = wall.next().await;
+        while wall.measured.lock().unwrap().is_some_and(|time| time.at < ms(15_000)) {
+            last = wall.next().await;
+        }
         let (mut ids, mut worst) = (BTreeMap::new(), 0f64);
         let mut seen = walks.map(|_| Vec::new());
         while !wall.measured.lock().unwrap().is_some_and(|time| time.at > ms(28_000)) {
@@ -162,7 +165,11 @@ async fn hands_are_cursors_where_they_are() {
             let ((u0, v0), (u1, v1), ..) = way;
             let (du, dv) = ((u1 - u0) / seconds, (v1 - v0) / seconds);
             let off = (mean(|c| c.velocity.0) - du).hypot(mean(|c| c.velocity.1) - dv);
-            assert!(off < 0.02, "{off} of {du}, {dv}");
+            // By the mean, only where it began and ended counts, on a wall of this height.
+            let ((left, top), (right, bottom)) = (spot((0.0, 0.0)), spot((0.0, 1.0)));
+            let height = (left - right).hypot(top - bottom);
+            let bound = 2.0 * worst / height / (rest.len() as f64 / 10.0);
+            assert!(off < bound, "{off} of {du}, {dv}: at most {bound}");
         }
         assert!(!wall.task.is_finished());
     }
