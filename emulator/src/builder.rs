@@ -112,7 +112,7 @@ impl EmulatorBuilder {
         self
     }
 
-    /// Gives the sensor a [`Quirk`]. It has none by default, besides those of its model.
+    /// Adds a [`Quirk`] to the quirks of the model. Default: none.
     pub fn quirk(mut self, quirk: Quirk) -> Self {
         self.session.quirks.push(quirk);
         self

@@ -10,7 +10,7 @@ pub(super) fn sensor() -> Emulator {
     let hand = |scene: Scene, walk, start| {
         scene.moving_disc(0.04, Walk::starting_at(walk, Duration::from_secs(start)))
     };
-    // Each hand stays for 2 s, in which it moves by 2 mm.
+    // Each hand moves by 2 mm in 2 s, so it touches one place.
     let touch = |(x, y)| Walk::new((x, y), (x + 0.002, y)).speed(0.001);
     let corners = [((0.4, 0.6), 2), ((2.4, 0.6), 5), ((2.4, -0.6), 8), ((0.4, -0.6), 11)];
     let wall = corners.into_iter().fold(wall, |wall, (at, start)| hand(wall, touch(at), start));

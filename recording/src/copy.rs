@@ -72,8 +72,8 @@ impl Copied {
 /// may be copied with its changes. A record whose kind was damaged may look like one of a later version
 /// of the format, and is skipped. Fields of later versions are not copied.
 ///
-/// Leaves out damaged parts, and builds a new index. Without a `compression` the copy has that of the
-/// inputs, or the strongest of them, if this build [writes](Compression::is_written) it. It has at most
+/// Leaves out damaged parts, and builds a new index. If `compression` is `None`, the copy keeps the
+/// compression of the inputs (the strongest that this build [writes](Compression::is_written)). It has at most
 /// eight times the bytes of the inputs without compression, plus 8 KiB: a hostile file makes the most of
 /// small records.
 ///

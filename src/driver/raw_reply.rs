@@ -13,8 +13,7 @@ use crate::protocol::{Command, Protocol};
 #[derive(Debug, Clone, Copy)]
 #[non_exhaustive]
 pub struct RawReply<'a> {
-    /// Protocol in which the driver asked. In [`Protocol::Scip2`] the frame begins with the whole
-    /// request.
+    /// Protocol of the request. In [`Protocol::Scip2`] the frame begins with the request.
     pub protocol: Protocol,
     /// Command of SCIP 1.1 that the frame answers, even if the reply is malformed. `None` for the
     /// reply to a fence and for a frame with another echo.

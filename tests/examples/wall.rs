@@ -32,7 +32,7 @@ fn walk(from: Spot, to: Spot, start: u64, speed: f64) -> Walk {
     Walk::new(spot(from), spot(to)).starting_at(ms(start)).speed(speed)
 }
 
-/// Returns a hand that stays for the 2 s in which it moves by 2 mm.
+/// Returns a hand that touches one place: it moves by 2 mm in 2 s.
 fn touch((u, v): Spot, start: u64) -> Walk {
     walk((u, v), (u + 0.001, v), start, 0.001)
 }

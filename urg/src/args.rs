@@ -60,7 +60,7 @@ pub(crate) struct CopyArgs {
 }
 
 impl CopyArgs {
-    /// Compression, or `None` for that of the inputs.
+    /// Compression, or `None` to keep the compression of the inputs.
     pub(crate) fn compression(&self) -> Option<Compression> {
         self.compress.map(Compression::from)
     }

@@ -316,7 +316,7 @@ impl History {
         }
     }
 
-    /// Draws the compression of a copy, or `None` for that of the inputs.
+    /// Draws the compression of a copy, or `None` to keep the compression of the inputs.
     fn compression(&mut self) -> Option<Compression> {
         (!self.random.once_in(2)).then(|| *self.random.pick(&own::compressions()))
     }
