@@ -58,7 +58,9 @@ pub(super) fn parse_command(text: &str) -> Option<Command> {
         let number = |range: Range<usize>| digits.get(range)?.parse::<u16>().ok();
         let window = Window::new(number(0..3)?..=number(3..6)?).ok()?;
         let cluster = number(6..8)?.try_into().ok()?;
-        return window.with_cluster_count(cluster).ok().map(Command::Distances);
+        let command = window.with_cluster_count(cluster).ok().map(Command::Distances);
+        // A window may have more steps than a `G` can name.
+        return command.filter(|command| command.to_string() == text);
     }
     let fixed = [Command::Version, Command::LaserOn, Command::LaserOff];
     let speeds = BaudRate::ALL.into_iter().map(Command::BaudRate);
@@ -83,6 +85,7 @@ mod tests {
             "",
             "G",
             "G00076800",
+            "G00076901",
             "G76800001",
             "G+0076801",
             "Gx0076801",

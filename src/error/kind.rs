@@ -230,8 +230,11 @@ impl fmt::Display for Sentence<'_> {
             ),
             ErrorKind::Open { port, source } => {
                 let is_refused = source.kind() == io::ErrorKind::ConnectionRefused;
-                let remedy =
-                    if is_refused { ": start its server, or correct the address" } else { "" };
+                let remedy = if is_refused {
+                    ": a sensor on Ethernet may still boot, or serve another client; otherwise start its server, or correct the address"
+                } else {
+                    ""
+                };
                 write!(f, "cannot open {port}{remedy}")
             }
             ErrorKind::NoSuchSensor { serial_number } => write!(

@@ -6,7 +6,7 @@ use std::pin::Pin;
 
 use super::{Connect, ConnectHints, Endpoint, Port};
 #[cfg(feature = "tcp")]
-use super::{TcpPort, lookup::Lookup};
+use super::{TcpPort, endpoint::line_baud_rate, lookup::Lookup};
 #[cfg(feature = "serial")]
 use super::{
     search::{Search, SystemPorts},
@@ -33,7 +33,7 @@ enum Route {
     #[cfg(feature = "serial")]
     SerialNumber(Search<SystemPorts>),
     #[cfg(feature = "tcp")]
-    Tcp { host: String, port: u16, baud_rate: BaudRate, lookup: Lookup },
+    Tcp { host: String, port: u16, baud_rate: Option<BaudRate>, lookup: Lookup },
     /// This build cannot open the endpoint, for this reason.
     #[cfg(not(all(feature = "serial", feature = "tcp")))]
     Missing(&'static str),
@@ -78,6 +78,7 @@ impl EndpointConnector {
             Endpoint::Serial(_) | Endpoint::SerialNumber(_) => Route::Missing(NO_SERIAL),
             #[cfg(feature = "tcp")]
             Endpoint::Tcp { host, port, baud_rate } => {
+                let baud_rate = line_baud_rate(port, baud_rate);
                 Route::Tcp { host, port, baud_rate, lookup: Lookup::default() }
             }
             #[cfg(not(feature = "tcp"))]

@@ -56,16 +56,22 @@ pub enum Endpoint {
         host: String,
         /// TCP port.
         port: u16,
-        /// Baud rate of the serial line that the server leads to. You cannot change it from here, and
-        /// a sensor on Ethernet has none.
+        /// Baud rate of the serial line that the server leads to. You cannot change it from here.
+        /// At TCP port 10940, 19,200 baud stand for a sensor on Ethernet, which has no baud rate.
         baud_rate: BaudRate,
     },
 }
 
 /// TCP port of sensors on Ethernet.
-const SENSOR_PORT: &str = "10940";
+const SENSOR_PORT: u16 = 10940;
 /// Baud rate of a bridge's line if its address has none: the baud rate of a sensor after power-up.
 const DEFAULT_BRIDGE_BAUD_RATE: BaudRate = BaudRate::B19200;
+
+/// Baud rate of the line behind a TCP port, unless a sensor on Ethernet listens there.
+#[cfg(feature = "tcp")]
+pub(super) fn line_baud_rate(port: u16, baud_rate: BaudRate) -> Option<BaudRate> {
+    (port != SENSOR_PORT || baud_rate != DEFAULT_BRIDGE_BAUD_RATE).then_some(baud_rate)
+}
 
 impl fmt::Display for Endpoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -191,7 +197,7 @@ fn parse(text: &str) -> Parsed {
         return parse_tcp(address);
     }
     if text.split_once("://").is_some_and(|(scheme, _)| !scheme.contains('/')) {
-        return Err("expected tcp://HOST:PORT, the only address with ://");
+        return Err("expected tcp://HOST or tcp://HOST:PORT, the only addresses with ://");
     }
     if let Some(number) = text.strip_prefix("serial:") {
         return serial_number(number);
@@ -229,13 +235,16 @@ fn parse_tcp(address: &str) -> Parsed {
                 return Err("expected an IPv6 address in the brackets, as in tcp://[::1]:4001");
             }
             let port = match rest {
-                "" => SENSOR_PORT,
-                rest => rest.strip_prefix(':').ok_or(MISSING_PORT)?,
+                "" => None,
+                rest => Some(rest.strip_prefix(':').ok_or(MISSING_PORT)?),
             };
             (host, port)
         }
         None => {
-            let (host, port) = authority.rsplit_once(':').unwrap_or((authority, SENSOR_PORT));
+            let (host, port) = match authority.rsplit_once(':') {
+                Some((host, port)) => (host, Some(port)),
+                None => (authority, None),
+            };
             if host.contains(':') {
                 return Err("expected brackets around the IPv6 address, as in tcp://[::1]:4001");
             }
@@ -249,9 +258,10 @@ fn parse_tcp(address: &str) -> Parsed {
         }
     };
     let port = match port {
-        "" => return Err(MISSING_PORT),
-        digits if is_number(digits) => digits.parse().ok().filter(|port| *port != 0),
-        _ => None,
+        None => Some(SENSOR_PORT),
+        Some("") => return Err(MISSING_PORT),
+        Some(digits) if is_number(digits) => digits.parse().ok().filter(|port| *port != 0),
+        Some(_) => None,
     };
     let port =
         port.ok_or("expected a TCP port from 1 to 65535, with nothing but ?baud=N after it")?;
@@ -273,4 +283,24 @@ fn parse_query(query: &str) -> Result<BaudRate, &'static str> {
 /// Returns true for digits only: `parse` alone also accepts a sign.
 fn is_number(text: &str) -> bool {
     !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
+}
+
+#[cfg(all(test, feature = "tcp"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sensor_on_ethernet_has_no_baud_rate() {
+        for (address, expected) in [
+            ("192.168.0.10", None),
+            ("[::1]", None),
+            ("192.168.0.10:10940", None),
+            ("bridge:10940?baud=115200", Some(BaudRate::B115200)),
+            ("bridge:4001", Some(BaudRate::B19200)),
+        ] {
+            let parsed = parse_tcp(address);
+            let Ok(Endpoint::Tcp { port, baud_rate, .. }) = parsed else { panic!("{parsed:?}") };
+            assert_eq!(line_baud_rate(port, baud_rate), expected, "{address}");
+        }
+    }
 }

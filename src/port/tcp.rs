@@ -41,12 +41,13 @@ use crate::BaudRate;
 #[derive(Debug)]
 pub(super) struct TcpPort {
     stream: TcpStream,
-    baud_rate: BaudRate,
+    /// `None` for a sensor on Ethernet.
+    baud_rate: Option<BaudRate>,
 }
 
 impl TcpPort {
-    /// Connects to `host` (a name or an address) and `port`, a server with a serial line
-    /// at `baud_rate`.
+    /// Connects to `host` (a name or an address) and `port`: a server with a serial line
+    /// at `baud_rate`, or a sensor on Ethernet.
     ///
     /// Tries the addresses of a name as RFC 8305 describes: IPv6 and IPv4 in turn, the
     /// next one after 250 ms or after a failure. Uses the first one that accepts.
@@ -63,7 +64,7 @@ impl TcpPort {
         lookup: &mut Lookup,
         host: &str,
         port: u16,
-        baud_rate: BaudRate,
+        baud_rate: Option<BaudRate>,
     ) -> io::Result<Self> {
         let addresses = lookup.addresses(host, port).await?;
         let stream = connect_first(addresses, connect_to).await?;
@@ -105,9 +106,9 @@ fn keepalive() -> TcpKeepalive {
 }
 
 impl Port for TcpPort {
-    /// Baud rate in the endpoint's address.
+    /// Baud rate in the endpoint's address, unless it leads to a sensor on Ethernet.
     fn baud_rate(&self) -> Option<BaudRate> {
-        Some(self.baud_rate)
+        self.baud_rate
     }
 
     fn hints(&mut self) -> Option<&mut dyn PortHints> {
@@ -161,8 +162,7 @@ mod tests {
         let server = tokio::net::TcpListener::bind(("127.0.0.1", 0)).await?;
         let port = server.local_addr()?.port();
         let lookup = &mut Lookup::default();
-        let TcpPort { stream, .. } =
-            TcpPort::connect(lookup, "127.0.0.1", port, BaudRate::B19200).await?;
+        let TcpPort { stream, .. } = TcpPort::connect(lookup, "127.0.0.1", port, None).await?;
         assert!(stream.nodelay()?);
         let socket = SockRef::from(&stream);
         assert!(socket.keepalive()?);

@@ -12,6 +12,8 @@ use super::{BaudRate, Geometry};
 
 /// Last step of a `G` (C-42-3320-A p. 6).
 pub(super) const LAST: u16 = 768;
+/// Last step that a request of SCIP 2 can name, with four digits (C-42-03320B p. 11).
+const LAST_OF_ANY: u16 = 9999;
 /// Micro-degrees to either side of the front that a window of degrees may include.
 const FARTHEST: i32 = 135_000_000;
 
@@ -32,9 +34,10 @@ pub(super) const BLOCK: usize = 64;
 /// The window of a [`Scan`](crate::Scan) has the steps of its sensor. A window that you create has
 /// the steps of a URG-04LX, whatever sensor you will pass it to.
 ///
-/// A window that you create is always valid: both steps are in 0..=768, the start is not after the
-/// end, and the cluster count is 1..=99. (The protocol text allows a cluster count of 0, but
-/// sensors may disagree on what it means.)
+/// A window that you create has steps in 0..=9999, its start is not after its end, and its cluster
+/// count is 1..=99. (The protocol text allows a cluster count of 0, but sensors may disagree on what
+/// it means.) A sensor that does not have these steps refuses the window with
+/// [`WindowError::NotMeasured`]: a URG-04LX has 0..=768, a UST-10LX 0..=1080.
 ///
 /// `==` compares steps and cluster counts, however you asked for them.
 ///
@@ -117,11 +120,11 @@ impl Window {
     ///
     /// # Errors
     ///
-    /// [`WindowError`] if a step is above 768 or the start after the end.
+    /// [`WindowError`] if a step is above 9999 or the start after the end.
     pub const fn new(steps: RangeInclusive<u16>) -> Result<Self, WindowError> {
         let (start, end) = (*steps.start(), *steps.end());
         match (start, end) {
-            (found, _) | (_, found) if found > LAST => Err(WindowError::Step { found }),
+            (found, _) | (_, found) if found > LAST_OF_ANY => Err(WindowError::Step { found }),
             _ if start > end => Err(WindowError::Reversed { start, end }),
             _ => Ok(Self::from_steps(start, end)),
         }
@@ -213,7 +216,7 @@ impl Window {
         self.cluster_count
     }
 
-    /// Number of steps in the window, 1..=769 for a URG-04LX.
+    /// Number of steps in the window, at most 769 for a URG-04LX.
     pub const fn steps(&self) -> usize {
         (self.end - self.start) as usize + 1
     }
@@ -315,8 +318,8 @@ impl fmt::Display for Window {
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum WindowError {
-    /// A step is above 768.
-    #[error("invalid step {found}: expected 0 to 768")]
+    /// A step is above 9999.
+    #[error("invalid step {found}: expected 0 to 9999")]
     Step {
         /// Number that was found.
         found: u16,

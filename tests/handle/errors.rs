@@ -50,7 +50,7 @@ async fn every_error_converts_with_question_mark() {
         other => panic!("{other:?}"),
     };
     let mut converted = [
-        convert::<WindowError>(Window::new(0..=769).unwrap_err()),
+        convert::<WindowError>(Window::new(0..=10_000).unwrap_err()),
         convert::<BaudRateError>(BaudRate::try_from(9600).unwrap_err()),
         convert("0".parse::<Rate>().unwrap_err()),
         convert::<ScanError>(Scan::builder(Window::FULL, [1]).build().unwrap_err()),

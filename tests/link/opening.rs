@@ -344,7 +344,7 @@ async fn a_request_says_why_no_link_exists() {
         (ErrorKind::NoSuchPort { port: port() }.into(), "no port it: plug the sensor in"),
         (ErrorKind::PermissionDenied { port: port(), group: None }.into(), "give the user read"),
         (ErrorKind::Busy { port: port() }.into(), "stop the program that has it open"),
-        (Error::open(port(), refused), "cannot open it: start its server"),
+        (Error::open(port(), refused), "cannot open it: a sensor on Ethernet may still boot"),
     ] {
         let failure = error.clone();
         let connect = ConnectFn(move || Err::<StreamPort<DuplexStream>, _>(failure.clone()));

@@ -111,7 +111,7 @@ proptest! {
     #[test]
     fn any_numbers_make_a_window_or_an_error(from: f64, to: f64, start: u16, end: u16, cluster: u8) {
         let _ = Window::degrees(from..=to);
-        let valid = start <= end && end <= 768 && (1..=99).contains(&cluster);
+        let valid = start <= end && end <= 9999 && (1..=99).contains(&cluster);
         let window = Window::new(start..=end).and_then(|window| window.with_cluster_count(cluster));
         prop_assert_eq!(window.is_ok(), valid);
     }

@@ -157,6 +157,7 @@ fn a_window_gets_the_steps_of_the_sensor() {
         (degrees(0.351_562_5, 0.5), utm(), (542, 542)),
         (degrees(-119.6, 119.9), ug01(), (44, 725)),
         (steps(44, 725), ust(), (44, 725)),
+        (steps(0, 1080), ust(), (0, 1080)),
         (steps(44, 725), ug01(), (44, 725)),
         (Window::FULL, ust(), (0, 768)),
         (Window::FULL, Geometry::URG_04LX, (0, 768)),
@@ -175,6 +176,12 @@ fn a_window_that_is_not_measured_names_what_is() {
             Window::FULL,
             ug01(),
             "invalid window of steps 0..=768: this sensor measures steps 44..=725 \
+             (-119.53 to 119.88 degrees), 0.352 degrees apart",
+        ),
+        (
+            Window::new(0..=1080).unwrap(),
+            Geometry::URG_04LX,
+            "invalid window of steps 0..=1080: this sensor measures steps 44..=725 \
              (-119.53 to 119.88 degrees), 0.352 degrees apart",
         ),
         (

@@ -3,10 +3,10 @@
 use tokio_scip::protocol::{Geometry, Window, WindowError};
 
 #[test]
-fn steps_are_0_to_768() {
+fn steps_are_0_to_9999() {
     assert_eq!((Window::FULL.start(), Window::FULL.end()), (0, 768));
-    assert_eq!(Window::new(768..=769), Err(WindowError::Step { found: 769 }));
-    assert_eq!(Window::new(770..=771), Err(WindowError::Step { found: 770 }));
+    assert_eq!(Window::new(0..=9999).unwrap().points(), 10_000);
+    assert_eq!(Window::new(9999..=10_000), Err(WindowError::Step { found: 10_000 }));
 }
 
 #[test]
@@ -28,7 +28,9 @@ fn a_window_cannot_be_invalid() {
     for (start, end) in [(6, 5), (768, 0)] {
         assert_eq!(Window::new(start..=end), Err(WindowError::Reversed { start, end }));
     }
-    for (start, end, found) in [(769, 5, 769), (769, 770, 769), (5, u16::MAX, u16::MAX)] {
+    for (start, end, found) in
+        [(10_000, 5, 10_000), (10_000, 10_001, 10_000), (5, u16::MAX, u16::MAX)]
+    {
         assert_eq!(Window::new(start..=end), Err(WindowError::Step { found }));
     }
     for cluster_count in 0..=255 {
@@ -88,7 +90,7 @@ fn degrees_without_a_step_or_outside_the_revolution_are_refused() {
 #[test]
 fn window_errors_name_what_is_valid() {
     let message = |error: WindowError| error.to_string();
-    assert_eq!(message(WindowError::Step { found: 800 }), "invalid step 800: expected 0 to 768");
+    assert!(message(WindowError::Step { found: 10_000 }).ends_with("expected 0 to 9999"));
     assert!(message(WindowError::Reversed { start: 9, end: 3 }).ends_with("swap them"));
     assert!(message(WindowError::ClusterCount { found: 0 }).ends_with("expected 1 to 99"));
     assert!(message(WindowError::Degrees { from: 1.0, to: 0.0 }).contains("-135 to 135"));

@@ -94,19 +94,26 @@ async fn nothing_of_scip_2_is_sent_to_a_sensor_of_scip_1() {
 
 #[tokio::test(start_paused = true)]
 async fn a_window_that_a_sensor_lacks_costs_only_its_stream() {
-    let emulator = numbered(Model::Urg04lxUg01).build();
-    let sensor = builder().connect(emulator.clone()).await.unwrap();
-    for rate in [Rate::hz(10.0), Rate::UNLIMITED] {
-        let mut missing = sensor.scans(Window::FULL, rate).await.unwrap();
-        let mut front = sensor.scans(Window::degrees(-10.0..=10.0).unwrap(), rate).await.unwrap();
-        let error = missing.next().await.unwrap().unwrap_err().to_string();
+    let large = Window::new(0..=1080).unwrap();
+    for (model, lacking) in [(Model::Urg04lxUg01, Window::FULL), (Model::Urg04lx, large)] {
+        let emulator = numbered(model).build();
+        let sensor = builder().connect(emulator.clone()).await.unwrap();
+        for rate in [Rate::hz(10.0), Rate::UNLIMITED] {
+            let mut missing = sensor.scans(lacking, rate).await.unwrap();
+            let front = Window::degrees(-10.0..=10.0).unwrap();
+            let mut front = sensor.scans(front, rate).await.unwrap();
+            let error = missing.next().await.unwrap().unwrap_err().to_string();
+            assert!(error.contains("this sensor measures steps 44..=725"), "{error}");
+            let scan = next(&mut front).await;
+            assert_eq!((scan.window().start(), scan.window().end()), (356, 412));
+        }
+        let error = sensor.scan(lacking).await.unwrap_err().to_string();
         assert!(error.contains("this sensor measures steps 44..=725"), "{error}");
-        let scan = next(&mut front).await;
-        assert_eq!((scan.window().start(), scan.window().end()), (356, 412));
+        let is_asked = |line: &[u8]| line.starts_with(b"GD0000") || line.starts_with(b"G00076");
+        assert!(emulator.log().iter().all(|line| !is_asked(&line.line)), "{model:?}");
     }
-    let error = sensor.scan(Window::FULL).await.unwrap_err().to_string();
-    assert!(error.contains("this sensor measures steps 44..=725"), "{error}");
-    assert!(emulator.log().iter().all(|line| !line.line.starts_with(b"GD0000")));
+    let sensor = builder().connect(numbered(Model::Ust10lx).build()).await.unwrap();
+    assert_eq!(sensor.scan(large).await.unwrap().len(), 1081);
 }
 
 #[tokio::test(start_paused = true)]

@@ -223,7 +223,8 @@ mod tests {
         for text in ["44..725", "44..=725", "detection"] {
             assert_eq!(named_window(text), Ok(Window::DETECTION), "{text}");
         }
-        for text in ["", "half", "..", "1..", "200..100", "0..769", "-1..5"] {
+        assert_eq!(named_window("0..1080").unwrap().points(), 1081);
+        for text in ["", "half", "..", "1..", "200..100", "0..10000", "-1..5"] {
             assert!(named_window(text).is_err(), "{text}");
         }
     }

@@ -45,7 +45,7 @@ fn an_invalid_command_line_exits_with_2() {
         "stream emulated --baud 9600",
         "stream emulated --format svg",
         "scan emulated --cluster 0",
-        "scan emulated --window 0..769",
+        "scan emulated --window 0..10000",
         "scan emulated --window 700..30",
         "scan emulated --from 20 --to 10",
         "scan emulated --from nan",
