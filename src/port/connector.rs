@@ -52,8 +52,8 @@ impl Endpoint {
     ///
     /// # Serial numbers
     ///
-    /// For [`Endpoint::SerialNumber`], each [`connect`](Connect::connect) opens the next port with
-    /// the USB id of URG sensors. The driver checks whether it has the right sensor. The search skips
+    /// For [`Endpoint::SerialNumber`], each [`connect`](Connect::connect) opens the next USB
+    /// port of a Hokuyo sensor. The driver checks whether it has the right sensor. The search skips
     /// ports that cannot be opened within 2 s. It retries them and busy ones for 2 s, and opens each
     /// port that appears in that time. After the last candidate the error is
     /// [`NoSuchSensor`](crate::ErrorKind::NoSuchSensor), or

@@ -47,8 +47,7 @@ pub enum Endpoint {
     /// it is busy until then. The driver drops a port that was unplugged, so that the system can
     /// assign the same name to the sensor when you plug it in again.
     Serial(String),
-    /// Sensor with this serial number, on any port with the USB id of URG sensors. Skips busy
-    /// ports.
+    /// Sensor with this serial number, on any USB port of a Hokuyo sensor. Skips busy ports.
     SerialNumber(String),
     /// Sensor on Ethernet, or a TCP server that passes bytes to and from a sensor unchanged.
     Tcp {

@@ -22,8 +22,11 @@ pub struct UsbId {
 }
 
 impl UsbId {
-    /// Id of URG sensors, the same for all models.
-    pub(crate) const URG: Self = Self { vendor: 0x15d1, product: 0x0000 };
+    /// Returns true for a device of Hokuyo. Known sensors have the product number 0, but no list of
+    /// all models exists.
+    pub(crate) fn is_hokuyo(self) -> bool {
+        self.vendor == 0x15d1
+    }
 }
 
 impl fmt::Display for UsbId {
@@ -60,9 +63,8 @@ pub struct PortInfo {
     /// apart. Their names in `/dev/serial/by-id` are equal, because a URG has no USB
     /// serial number.
     pub stable_paths: Vec<String>,
-    /// True for the USB port of a URG sensor. The sensor may still speak only SCIP 2, because
-    /// of its model or its mode. False for a sensor on RS-232, which cannot be recognised
-    /// without opening the port.
+    /// True for the USB port of a Hokuyo sensor (vendor 15d1). False for a sensor on RS-232, which
+    /// cannot be recognised without opening the port.
     pub likely_sensor: bool,
 }
 
@@ -152,7 +154,7 @@ fn port_info(port: SerialPortInfo, links: &[(String, PathBuf)]) -> PortInfo {
         product: usb.as_ref().and_then(|usb| text(&usb.product)),
         manufacturer: usb.as_ref().and_then(|usb| text(&usb.manufacturer)),
         stable_paths,
-        likely_sensor: usb_id == Some(UsbId::URG),
+        likely_sensor: usb_id.is_some_and(UsbId::is_hokuyo),
     }
 }
 
@@ -198,7 +200,7 @@ mod tests {
             product: None,
             manufacturer: None,
             stable_paths: Vec::new(),
-            likely_sensor: usb_id == Some(UsbId::URG),
+            likely_sensor: usb_id.is_some_and(UsbId::is_hokuyo),
         }
     }
 
@@ -209,7 +211,7 @@ mod tests {
             port("/dev/ttyS0", None),
             port("/dev/ttyUSB10", adapter),
             port("/dev/ttyUSB9", adapter),
-            port("/dev/ttyACM2", Some(UsbId::URG)),
+            port("/dev/ttyACM2", Some(UsbId { vendor: 0x15d1, product: 0x0005 })),
             port("/dev/ttyACM0", adapter),
         ];
         ports.sort_by_cached_key(order);

@@ -137,7 +137,7 @@ fn is_close(baud_rate: BaudRate, actual: u32) -> bool {
 }
 
 impl Port for SerialPort {
-    /// Baud rate in force, or `None` for the USB port of a sensor (id 15d1:0000).
+    /// Baud rate in force, or `None` for the USB port of a sensor.
     fn baud_rate(&self) -> Option<BaudRate> {
         if self.is_usb_sensor { None } else { Some(self.baud_rate) }
     }

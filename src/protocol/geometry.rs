@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
-use super::{Codes, ErrorCode, Measurement};
+use super::{Codes, ErrorCode, Measurement, Protocol};
 
 /// Half micro-degrees in a revolution.
 const HALVES: i64 = 720_000_000;
@@ -43,6 +43,14 @@ impl Geometry {
         motor_speed: 600,
         codes: None,
     };
+
+    /// Protocol in which the sensor told it.
+    pub const fn protocol(&self) -> Protocol {
+        match self.codes {
+            None => Protocol::Scip1,
+            Some(_) => Protocol::Scip2,
+        }
+    }
 
     /// Number of steps in a full revolution of the motor.
     pub const fn steps_per_revolution(&self) -> u16 {

@@ -99,6 +99,16 @@ impl ErrorCode {
         }
     }
 
+    /// Returns true if too little light came back: the codes 1 to 5 in SCIP 1.1, and 1 and 2 of a URG
+    /// in SCIP 2.
+    pub const fn is_low_intensity(self) -> bool {
+        match self.codes {
+            None => matches!(self.value, 1..=5),
+            Some(Codes::Urg) => matches!(self.value, 1 | 2),
+            Some(_) => false,
+        }
+    }
+
     /// Returns true if an object may be beyond the range.
     const fn is_beyond_range(self) -> bool {
         match self.codes {

@@ -68,7 +68,8 @@ pub struct Window {
 enum Wish {
     /// Everything that the sensor measures.
     All,
-    /// The steps inside an interval of micro-degrees, counter-clockwise from the front.
+    /// The steps inside an interval of micro-degrees, counter-clockwise from the front. The least and
+    /// the largest number stand for the ends of what the sensor measures.
     Degrees(i32, i32),
     /// The steps of the window.
     Steps,
@@ -134,22 +135,23 @@ impl Window {
     /// from the front: `Window::degrees(-90.0..=90.0)` is steps 128..=640 of a URG-04LX. Another
     /// sensor gets the interval itself, and sends the steps that it has inside.
     ///
-    /// Bounds are rounded to a millionth of a degree.
+    /// Bounds are rounded to a millionth of a degree. An infinite bound stands for the last direction
+    /// that the sensor measures: `Window::degrees(0.0..=f64::INFINITY)` is all to the left of the front.
     ///
     /// # Errors
     ///
-    /// [`WindowError`] if the interval contains no step of a URG-04LX, if it leaves -135..=135, or if
-    /// a bound is not a number.
+    /// [`WindowError`] if the interval contains no step of a URG-04LX, if a finite bound is outside of
+    /// -135..=135, or if a bound is not a number.
     pub fn degrees(interval: RangeInclusive<f64>) -> Result<Self, WindowError> {
         let (from, to) = interval.into_inner();
         let error = WindowError::Degrees { from, to };
         if from.is_nan() || to.is_nan() {
             return Err(error);
         }
-        // The casts go no further than the ends of the type.
+        // The casts go no further than the ends of the type, which stand for infinite bounds.
         let [low, high] = [from, to].map(|degrees| (degrees * 1e6).round() as i32);
         let window = Self { wish: Wish::Degrees(low, high), ..Self::DETECTION };
-        if low < -FARTHEST || high > FARTHEST {
+        if from.is_finite() && low < -FARTHEST || to.is_finite() && high > FARTHEST {
             return Err(error);
         }
         window.resolve(&Geometry::URG_04LX).map_err(|_| error)
@@ -164,7 +166,7 @@ impl Window {
                 let (start, end) = geometry.steps().into_inner();
                 return Ok(Self { start, end, ..self });
             }
-            Wish::Degrees(from, to) => geometry.steps_inside((from, to)),
+            Wish::Degrees(from, to) => measured_inside(geometry, from, to),
             Wish::Steps => (self.start.into(), self.end.into()),
         };
         match (u16::try_from(start), u16::try_from(end)) {
@@ -340,7 +342,7 @@ pub enum WindowError {
         /// Number that was found.
         found: u8,
     },
-    /// An interval of degrees leaves -135..=135, or contains no step.
+    /// An interval of degrees has a finite bound outside of -135..=135, or contains no step.
     #[error(
         "invalid window from {from} to {to} degrees: expected -135 to 135, the smaller one first, with at least one step (0.3515625 degree) inside"
     )]
@@ -360,11 +362,25 @@ pub enum WindowError {
     },
 }
 
+/// First and last step inside an interval of a [`Wish::Degrees`].
+// Not in `resolve`, which runs for each scan.
+#[inline(never)]
+fn measured_inside(geometry: &Geometry, from: i32, to: i32) -> (i64, i64) {
+    let (first, last) = geometry.steps().into_inner();
+    let (start, end) = geometry.steps_inside((from, to));
+    let start = if from == i32::MIN { first.into() } else { start };
+    (start, if to == i32::MAX { last.into() } else { end })
+}
+
 /// Writes what a window was asked to cover.
 fn wanted(window: &Window) -> String {
     match window.wish {
         Wish::Degrees(from, to) => {
-            let [from, to] = [from, to].map(|bound| f64::from(bound) / 1e6);
+            let [from, to] = [from, to].map(|bound| match bound {
+                i32::MIN => f64::NEG_INFINITY,
+                i32::MAX => f64::INFINITY,
+                bound => f64::from(bound) / 1e6,
+            });
             format!("invalid window from {from} to {to} degrees")
         }
         Wish::All | Wish::Steps => {

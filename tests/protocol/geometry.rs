@@ -147,6 +147,9 @@ fn a_window_gets_the_steps_of_the_sensor() {
         (degrees(-90.0, 90.0), ust(), (180, 900)),
         (degrees(-90.0, 90.0), uxm(), (20, 740)),
         (degrees(-135.0, 135.0), ust(), (0, 1080)),
+        (degrees(f64::NEG_INFINITY, 90.0), ust(), (0, 900)),
+        (degrees(90.0, f64::INFINITY), uxm(), (740, 760)),
+        (degrees(f64::NEG_INFINITY, f64::INFINITY), ug01(), (44, 725)),
         // 30.3 / 0.3515625 = 86.19, and 30.3 / 0.25 = 121.2.
         (degrees(-30.3, 30.3), ug01(), (298, 470)),
         (degrees(-30.3, 30.3), ust(), (419, 661)),

@@ -67,6 +67,9 @@ fn degrees_are_the_steps_inside_the_interval() {
     assert_eq!(steps(-119.531_25 + 1e-12, 119.9), Ok((44, 725)));
     assert_eq!(steps(-119.6, 90.0 - 1e-12), Ok((44, 640)));
     assert_eq!(steps((-std::f64::consts::FRAC_PI_2).to_degrees(), 0.0), Ok((128, 384)));
+    assert_eq!(steps(f64::NEG_INFINITY, 0.0), Ok((44, 384)));
+    assert_eq!(steps(0.0, f64::INFINITY), Ok((384, 725)));
+    assert_eq!(steps(f64::NEG_INFINITY, f64::INFINITY), Ok((44, 725)));
 }
 
 #[test]
@@ -79,7 +82,11 @@ fn degrees_without_a_step_or_outside_the_revolution_are_refused() {
         (-135.000_1, 135.0),
         (135.1, 200.0),
         (-1e300, 1e300),
-        (f64::NEG_INFINITY, f64::INFINITY),
+        (f64::INFINITY, f64::INFINITY),
+        (f64::NEG_INFINITY, f64::NEG_INFINITY),
+        (f64::NEG_INFINITY, -130.0),
+        (f64::NEG_INFINITY, 135.1),
+        (130.0, f64::INFINITY),
     ] {
         assert_eq!(Window::degrees(from..=to), Err(WindowError::Degrees { from, to }));
     }

@@ -4,7 +4,8 @@
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use tokio_scip::{BaudRate, Geometry, Rate, Window};
+use tokio_scip::protocol::Protocol;
+use tokio_scip::{BaudRate, Rate, Window};
 use urg_recording::Compression;
 
 use crate::failure::Failure;
@@ -20,6 +21,12 @@ pub(crate) struct LinkArgs {
     /// sensor on USB has no baud rate.
     #[arg(long, value_name = "RATE")]
     pub(crate) baud: Option<BaudRate>,
+    /// Protocol to speak; `auto` takes the one that the sensor speaks
+    ///
+    /// `scip2` makes a URG-04LX speak SCIP 2 until it is power-cycled: it then measures up to
+    /// 5.6 m. `scip1` refuses a sensor that speaks SCIP 2.
+    #[arg(long, value_enum, value_name = "NAME", default_value_t = ProtocolName::Auto)]
+    pub(crate) protocol: ProtocolName,
     /// Wait for the sensor to appear, without a time limit
     #[arg(long)]
     pub(crate) wait: bool,
@@ -27,6 +34,26 @@ pub(crate) struct LinkArgs {
     #[arg(long, value_name = "TIME", value_parser = duration, allow_hyphen_values = true,
         conflicts_with = "wait")]
     pub(crate) timeout: Option<Duration>,
+}
+
+/// Protocol of the sensor, as the user names it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
+pub(crate) enum ProtocolName {
+    #[default]
+    Auto,
+    Scip1,
+    Scip2,
+}
+
+impl ProtocolName {
+    /// Protocol to ask for, or `None` to take the sensor's own.
+    pub(crate) fn wanted(self) -> Option<Protocol> {
+        match self {
+            Self::Auto => None,
+            Self::Scip1 => Some(Protocol::Scip1),
+            Self::Scip2 => Some(Protocol::Scip2),
+        }
+    }
 }
 
 /// Compression of a recording that is written.
@@ -71,8 +98,10 @@ impl CopyArgs {
 #[command(next_help_heading = "Window")]
 pub(crate) struct WindowArgs {
     /// Steps to measure: detection (all that the sensor measures), full (0..768), or FIRST..LAST
-    /// [default: detection, or as recorded]; of a URG-04LX step 0 is -135 degrees (right), 384 the
-    /// front
+    /// [default: detection, or as recorded]
+    ///
+    /// Step 0 is at the right, and a model has steps of its own (see `urg info`): of a URG-04LX step
+    /// 384 is the front, of a UST 540. --from and --to mean the same directions for each model.
     #[arg(long, value_name = "WINDOW", value_parser = named_window,
         conflicts_with_all = ["from", "to"])]
     window: Option<Window>,
@@ -80,7 +109,8 @@ pub(crate) struct WindowArgs {
     /// cluster, so an error code hides any distance [default: 1, or as recorded]
     #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u8).range(1..=99))]
     cluster: Option<u8>,
-    /// First direction, -135deg (right) to 135deg (left), instead of --window
+    /// First direction, -135deg (right) to 135deg (left), instead of --window [default: the last
+    /// one that the sensor measures]
     #[arg(long, value_name = "DEGREES", value_parser = degrees, allow_hyphen_values = true)]
     from: Option<f64>,
     /// Last direction, as for --from
@@ -95,9 +125,7 @@ impl WindowArgs {
             (Some(window), ..) => Ok(window),
             (None, None, None) => default.with_cluster_count(1),
             (None, from, to) => {
-                let [start, end] = [default.start(), default.end()];
-                let [start, end] = [start, end].map(|step| Geometry::URG_04LX.degrees(step).into());
-                Window::degrees(from.unwrap_or(start)..=to.unwrap_or(end))
+                Window::degrees(from.unwrap_or(f64::NEG_INFINITY)..=to.unwrap_or(f64::INFINITY))
             }
         };
         window

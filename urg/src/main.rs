@@ -112,6 +112,7 @@ fn help() -> &'static str {
 PORT is one of
   /dev/ttyACM0, COM3      a serial port; /dev/serial/by-path/... names stay the same
   serial:H0713090         the sensor of this serial number, wherever it is plugged in
+  tcp://HOST              a sensor on Ethernet, such as tcp://192.168.0.10
   tcp://HOST:PORT         a raw TCP bridge to a serial port; ?baud=N for its baud rate
   FILE.mcap               a recording, replayed as a sensor; also the folder of a ROS 2 bag
   -                       a recording on standard input

@@ -12,6 +12,7 @@ mod http;
 mod instant_sensor;
 #[path = "../../tests/common/limit.rs"]
 mod limit;
+mod models;
 mod packaging;
 mod picture;
 mod pipes;

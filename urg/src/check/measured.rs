@@ -4,8 +4,9 @@ use std::fmt::Write;
 use std::time::Duration;
 
 use tokio::time::Instant;
+use tokio_scip::protocol::Protocol;
 use tokio_scip::stats::ScheduleStats;
-use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, Stats, Window};
+use tokio_scip::{BaudRate, Error, Geometry, Rate, Scan, Sensor, Stats, Window};
 
 use super::finding::{Finding, Verdict};
 use crate::format::listed;
@@ -24,8 +25,9 @@ const MAX_LATENESS_MS: f64 = 5.0;
 #[derive(Debug)]
 pub(super) struct Measured {
     window: Window,
+    geometry: Geometry,
     baud_rate: Option<BaudRate>,
-    /// Requested rate, and in scans a second.
+    /// Rate of the motor, and in scans a second.
     rate: Rate,
     asked: f64,
     scans: Vec<Seen>,
@@ -51,12 +53,18 @@ impl Measured {
         window: Window,
         duration: Duration,
     ) -> Result<Self, Error> {
-        let version = sensor.version().await?;
+        let (version, geometry) = (sensor.version().await?, sensor.geometry().await?);
         let rpm = version.specification.and_then(|specification| specification.motor_speed);
-        let asked = f64::from(rpm.unwrap_or(600)) / 60.0;
+        let revolution = geometry.revolution().as_secs_f64();
+        let asked = rpm.map_or(1.0 / revolution, |rpm| f64::from(rpm) / 60.0);
         let before = sensor.stats();
         let rate = Rate::hz(asked);
-        let mut stream = sensor.scans(window, rate).await?;
+        let polled = match geometry.protocol() {
+            Protocol::Scip1 => rate,
+            // Follows the sensor's clock: each scan arrives once.
+            Protocol::Scip2 => Rate::UNLIMITED,
+        };
+        let mut stream = sensor.scans(window, polled).await?;
         let link_rate = sensor.watch_state().get().baud_rate();
         let mut scans = Vec::new();
         let watch = async {
@@ -72,7 +80,7 @@ impl Measured {
         let _ = sensor.laser_on().await;
         let after = sensor.stats();
         let baud_rate = link_rate.filter(|_| !after.baud_rate_disproved);
-        Ok(Self { window, baud_rate, rate, asked, scans, shortfall, before, after })
+        Ok(Self { window, geometry, baud_rate, rate, asked, scans, shortfall, before, after })
     }
 
     pub(super) fn steps(&self) -> Vec<Finding> {
@@ -193,13 +201,16 @@ impl Measured {
         let text = format!("{distances} of {points} points have a distance");
         let repeats = self.count(|stats| stats.repeats) as usize;
         let doubt = match distances {
-            0 => ": is the sensor covered, or everything farther away than 4 m?",
+            0 => {
+                let farthest = f64::from(*self.geometry.distances().end()) / 1000.0;
+                format!(": is the sensor covered, or everything farther away than {farthest:.0} m?")
+            }
             _ if self.scans.len() > 5 && repeats + 1 >= self.scans.len() => {
-                ", and all scans are equal: does the sensor measure at all?"
+                ", and all scans are equal: does the sensor measure at all?".to_owned()
             }
             _ => return Finding::ok("sight", text),
         };
-        Finding::weak("sight", text + doubt)
+        Finding::weak("sight", text + &doubt)
     }
 }
 

@@ -70,7 +70,7 @@ impl Check {
         let (begin, duration) = (Instant::now(), self.duration.unwrap_or(DEFAULT_DURATION));
         match open(&port, &self.link, Delivery::Newest).await {
             Ok(sensor) => {
-                report.add(steps::link(&sensor, begin.elapsed()).await).await?;
+                report.add(steps::link(&port, &sensor, begin.elapsed()).await).await?;
                 report.add(steps::version(&sensor).await).await?;
                 report.add(steps::laser(&sensor).await).await?;
                 for step in steps::scans(&sensor, port.default_window(), duration).await {

@@ -8,16 +8,17 @@ use tokio_scip::{Sensor, Version, Window};
 use super::finding::{Finding, Verdict};
 use super::measured::Measured;
 use crate::failure::chain;
+use crate::port::name::PortName;
 use crate::port::open::proven_baud_rate;
 use crate::recording::contents::{Contents, Row};
 
 /// Describes the link that was found `after` this time.
-pub(crate) async fn link(sensor: &Sensor, after: Duration) -> Finding {
+pub(crate) async fn link(port: &PortName, sensor: &Sensor, after: Duration) -> Finding {
     let after = format!("after {:.1} s", after.as_secs_f64());
     Finding::ok(
         "link",
         match proven_baud_rate(sensor).await {
-            None => format!("found on USB {after}"),
+            None => format!("found on {} {after}", port.line()),
             Some((rate, None)) => format!("found at {rate} baud {after}"),
             Some((_, Some(why))) => format!("found {after}; {why}"),
         },
@@ -95,7 +96,7 @@ pub(crate) async fn scans(sensor: &Sensor, window: Window, duration: Duration) -
 #[cfg(test)]
 mod tests {
     use tokio_scip::BaudRate;
-    use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Values, WorldTime};
+    use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Model, Values, WorldTime};
 
     use super::*;
 
@@ -108,7 +109,8 @@ mod tests {
         let emulator = builder.build();
         let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
         emulator.set_faults(faults);
-        let mut steps = vec![link(&sensor, Duration::ZERO).await, version(&sensor).await];
+        let port = "emulated".parse().unwrap();
+        let mut steps = vec![link(&port, &sensor, Duration::ZERO).await, version(&sensor).await];
         steps.push(laser(&sensor).await);
         steps.extend(scans(&sensor, Window::DETECTION, Duration::from_secs(seconds)).await);
         let text = steps.iter().map(|step| format!("{step}\n")).collect();
@@ -133,6 +135,22 @@ mod tests {
         let fast = Emulator::builder().baud_rate(BaudRate::B750000);
         let (bad, text) = test(fast, Faults::none(), 10).await;
         assert_eq!(bad, [], "{text}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn each_model_is_judged_at_its_own_rate() {
+        for (model, rate) in
+            [(Model::Urg04lxUg01, "10.0"), (Model::Utm30lx, "40.0"), (Model::Ust10lx, "40.0")]
+        {
+            let (bad, text) = test(Emulator::builder().model(model), Faults::none(), 10).await;
+            assert_eq!(bad, [], "{model:?} {text}");
+            let rate = format!(" scans a second of {rate},");
+            assert!(text.contains(&rate), "{model:?} {text}");
+            let damaged = Faults::none().rate(0.2, Fault::Damaged).seed(1);
+            let (bad, text) = test(Emulator::builder().model(model), damaged, 10).await;
+            assert!(bad.contains(&("polls", Verdict::Failed)), "{model:?} {text}");
+            assert!(text.contains("malformed"), "{model:?} {text}");
+        }
     }
 
     #[tokio::test(start_paused = true)]

@@ -35,7 +35,10 @@ impl Baud {
         let moved = sensor.set_baud_rate(self.baud_rate).await;
         moved.map_err(|error| Failure::at(&port, &error))?;
         match proven_baud_rate(&sensor).await {
-            None => notice(format_args!("{port}: the sensor is on USB, which has no baud rate")),
+            None => notice(format_args!(
+                "{port}: the sensor is on {}, which has no baud rate",
+                port.line()
+            )),
             Some((_, Some(why))) => notice(format_args!("{port}: {why}")),
             Some((after, None)) => notice(format_args!("{port}: the baud rate is {after} baud")),
         }

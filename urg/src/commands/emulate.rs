@@ -198,7 +198,9 @@ impl Emulate {
             ModelName::Urg04lx => {
                 notice(format_args!("try `urg info {port}`; Ctrl-C stops the sensor"));
             }
-            _ => notice(format_args!("it speaks SCIP 2; Ctrl-C stops the sensor")),
+            _ => notice(format_args!(
+                "it speaks SCIP 2: try `urg info {port}`; Ctrl-C stops the sensor"
+            )),
         }
     }
 }

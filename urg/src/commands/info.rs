@@ -19,9 +19,9 @@ use crate::recording::span::TopicArgs;
 
 /// Show the identity and settings of a sensor
 ///
-/// Finds the sensor at any baud rate. It cannot show whether the laser is on: SCIP 1.1
-/// has no request for that. For a recording you also see the number of scans and the
-/// gaps.
+/// Finds the sensor at any baud rate, and its protocol. It cannot show whether the laser
+/// is on: SCIP 1.1 has no request for that. For a recording you also see the number of
+/// scans and the gaps.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  urg info /dev/ttyACM0\n  urg info serial:H0713090 --format json"
@@ -48,21 +48,23 @@ impl Info {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let mut port = self.port.required().await?;
         port.choose_topic(&self.topic)?;
-        let (version, baud_rate, rows) = match port.recorded() {
+        let (version, geometry, baud_rate, rows) = match port.recorded() {
             Some(recorded) => {
                 let Contents { version, baud_rate, rows, .. } = recorded.contents().await?;
-                (version, baud_rate.map(|rate| rate.map(|rate| (rate, None))), rows)
+                (version, None, baud_rate.map(|rate| rate.map(|rate| (rate, None))), rows)
             }
             None => {
                 let sensor = open(&port, &self.link, Delivery::Newest).await?;
-                let version = sensor.version().await;
-                let version = version.map_err(|error| Failure::at(&port, &error))?;
-                (version, Some(proven_baud_rate(&sensor).await), Vec::new())
+                let identity = async { Ok((sensor.version().await?, sensor.geometry().await?)) };
+                let (version, geometry) = identity
+                    .await
+                    .map_err(|error: tokio_scip::Error| Failure::at(&port, &error))?;
+                (version, Some(geometry), Some(proven_baud_rate(&sensor).await), Vec::new())
             }
         };
         let output = match self.format {
             InfoFormat::Text => {
-                let mut text = text(&port, &version, baud_rate.as_ref());
+                let mut text = text(&port, &version, geometry.as_ref(), baud_rate.as_ref());
                 rows.iter().for_each(|(name, _, value)| row(&mut text, name, value));
                 text
             }
@@ -73,6 +75,9 @@ impl Info {
                     "baud_rate": baud_rate.as_ref().map(|(rate, _)| rate),
                     "baud_rate_is_ignored": matches!(baud_rate, Some((_, Some(_)))),
                     "version": version,
+                    "protocol": geometry.map(|geometry| geometry.protocol().to_string()),
+                    "geometry": geometry,
+                    "revolution": geometry.map(|geometry| geometry.revolution().as_secs_f64()),
                 });
                 if let Value::Object(info) = &mut info {
                     info.extend(rows.into_iter().map(|(name, data, _)| (name.to_owned(), data)));
@@ -84,11 +89,16 @@ impl Info {
     }
 }
 
-/// Baud rate, and why the port ignores it; `None` on USB.
+/// Baud rate, and why the port ignores it; `None` on USB and Ethernet.
 type Speed = Option<(BaudRate, Option<String>)>;
 
-/// Rows of what is known.
-fn text(port: &PortName, version: &Version, baud_rate: Option<&Speed>) -> String {
+/// Rows of what is known. A recording has no geometry.
+fn text(
+    port: &PortName,
+    version: &Version,
+    geometry: Option<&Geometry>,
+    baud_rate: Option<&Speed>,
+) -> String {
     let mut text = String::new();
     let mut row = |name, value: String| {
         if !value.is_empty() {
@@ -96,35 +106,41 @@ fn text(port: &PortName, version: &Version, baud_rate: Option<&Speed>) -> String
         }
     };
     row("port", port.to_string());
-    row("baud rate", baud_rate.map(baud_rate_text).unwrap_or_default());
+    row("baud rate", baud_rate.map(|rate| baud_rate_text(port, rate)).unwrap_or_default());
     row("product", version.product.to_string());
     row("vendor", version.vendor.to_string());
     row("serial number", version.serial_number.to_string());
     row("firmware", version.firmware.to_string());
-    row("protocol", version.protocol.to_string());
+    row(
+        "protocol",
+        match geometry {
+            Some(geometry) => {
+                format!("{} (its own text: {})", geometry.protocol(), version.protocol)
+            }
+            None => version.protocol.to_string(),
+        },
+    );
     if let Some(status) = &version.status {
         row("status", status.to_string());
     }
     for line in &version.other {
         row("other", line.to_string());
     }
-    if let Some(specification) = &version.specification {
-        if let Some(range) = &specification.range {
+    let told = version.specification.as_ref();
+    if let Some(geometry) = geometry {
+        let (nearest, farthest) = geometry.distances().into_inner();
+        row("measures", format!("{nearest} to {farthest} mm"));
+        row("window", window(geometry));
+        let nominal = 60.0 / geometry.revolution().as_secs_f64();
+        row("motor", motor(told.and_then(|told| told.motor_speed).map_or(nominal, f64::from)));
+    } else if let Some(told) = told {
+        if let Some(range) = &told.range {
             row("measures", format!("{} to {} mm", range.start(), range.end()));
         }
-        if let Some(steps) = &specification.steps {
-            row("window", window(*steps.start(), *steps.end()));
+        if let Some(steps) = &told.steps {
+            row("window", format!("steps {} to {}", steps.start(), steps.end()));
         }
-        if let Some(rpm) = specification.motor_speed {
-            row(
-                "motor",
-                format!(
-                    "{rpm} rpm nominal: {} revolutions, and so scans, a second; \
-                     urg check polls, and measures it",
-                    f64::from(rpm) / 60.0
-                ),
-            );
-        }
+        row("motor", told.motor_speed.map(|rpm| motor(rpm.into())).unwrap_or_default());
     }
     text
 }
@@ -135,20 +151,24 @@ fn row(text: &mut String, name: &str, value: &str) {
 }
 
 /// Formats the sensor's steps, with their directions.
-fn window(start: u16, end: u16) -> String {
-    match Window::new(start..=end) {
-        Ok(window) => format!(
-            "steps {start} to {end}, {:.2}° to {:.2}°",
-            Geometry::URG_04LX.degrees(window.start()),
-            Geometry::URG_04LX.degrees(window.end())
-        ),
-        Err(_) => format!("steps {start} to {end}"),
-    }
+fn window(geometry: &Geometry) -> String {
+    let (first, last) = geometry.steps().into_inner();
+    let [from, to] = [first, last].map(|step| geometry.degrees(step));
+    let apart = 360.0 / f64::from(geometry.steps_per_revolution());
+    format!("steps {first} to {last}, {from:.2}° to {to:.2}°, {apart:.3}° apart")
 }
 
-fn baud_rate_text(baud_rate: &Speed) -> String {
+fn motor(rpm: f64) -> String {
+    format!(
+        "{rpm:.0} rpm nominal: {} revolutions, and so scans, a second; \
+         urg check polls, and measures it",
+        (rpm / 6.0).round() / 10.0
+    )
+}
+
+fn baud_rate_text(port: &PortName, baud_rate: &Speed) -> String {
     match baud_rate {
-        None => "none (USB)".to_owned(),
+        None => format!("none ({})", port.line()),
         Some((_, Some(why))) => format!("none: {why}"),
         Some((rate, None)) => {
             let most = 1.0 / Window::DETECTION.wire_time(*rate).as_secs_f64();

@@ -27,11 +27,11 @@ CSV has one row a point, with the columns
   sequence  number of the scan; a gap means that scans were missed
   stamp     seconds since 1970, when the reply began to arrive
   time      seconds since 1970, when the point was measured
-  step      the first step of the point, 0 to 768
+  step      the first step of the point, as the model counts
   angle     its direction in radians, counter-clockwise from the front
   range     metres; empty where there is no distance
-  code      empty where there is a distance; else the error code, 0 to 19, or
-            4095 for a saturated value
+  code      empty where there is a distance; else the value that the sensor
+            sent: an error code of its model, or one above all distances
 csv-xy adds
   x, y      metres from the sensor, x to the front, y to the left; empty where
             there is no distance";

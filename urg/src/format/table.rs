@@ -47,6 +47,6 @@ fn place(point: Point) -> String {
 fn reason(measurement: Measurement) -> String {
     match measurement {
         Measurement::Error(code) => code.to_string(),
-        _ => "value 4095: saturated".to_owned(),
+        other => format!("value {}: saturated", other.value()),
     }
 }

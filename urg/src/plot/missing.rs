@@ -23,7 +23,7 @@ impl MissingKind {
         match measurement {
             Measurement::Distance(_) => None,
             _ if measurement.range().is_infinite() => Some(Self::Far),
-            Measurement::Error(code) if matches!(u32::from(code), 1..=5) => Some(Self::Weak),
+            Measurement::Error(code) if code.is_low_intensity() => Some(Self::Weak),
             _ => Some(Self::Nothing),
         }
     }

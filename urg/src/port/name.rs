@@ -20,7 +20,7 @@ const DEFAULT_RATE: Rate = Rate::every(Duration::from_millis(100));
 
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct PortArg {
-    /// Where the sensor is: a serial port, serial:NUMBER, tcp://HOST:PORT, FILE.mcap, - or
+    /// Where the sensor is: a serial port, serial:NUMBER, tcp://HOST, FILE.mcap, - or
     /// emulated (see `urg help`)
     #[arg(value_name = "PORT", value_parser = argument::<PortName>())]
     pub(crate) name: Option<PortName>,
@@ -89,6 +89,14 @@ impl fmt::Display for PortName {
 }
 
 impl PortName {
+    /// Name of the line to a sensor that has no baud rate.
+    pub(crate) fn line(&self) -> &'static str {
+        match self {
+            Self::Endpoint(Endpoint::Tcp { .. }) => "Ethernet",
+            _ => "USB",
+        }
+    }
+
     pub(crate) fn recorded(&self) -> Option<&Recorded> {
         match self {
             Self::Recording(recorded) => Some(recorded),

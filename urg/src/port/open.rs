@@ -3,8 +3,9 @@
 use std::time::Duration;
 
 use tokio_scip::port::Connect;
-use tokio_scip::{BaudRate, Sensor, SensorBuilder, State, Window};
-use urg_emulator::{Emulator, Room};
+use tokio_scip::protocol::Protocol;
+use tokio_scip::{BaudRate, Endpoint, Error, ErrorKind, Sensor, SensorBuilder, State, Window};
+use urg_emulator::{Emulator, Firmware, Room};
 
 use super::name::PortName;
 use crate::args::LinkArgs;
@@ -35,6 +36,10 @@ pub(crate) fn begin(
     if let Some(rate) = link.baud {
         builder = builder.baud_rate(rate);
     }
+    let protocol = link.protocol.wanted();
+    if let Some(protocol) = protocol {
+        builder = builder.protocol(protocol);
+    }
     if let Some(timeout) = link.timeout {
         builder = builder.open_timeout(timeout);
     }
@@ -42,6 +47,11 @@ pub(crate) fn begin(
         PortName::Endpoint(endpoint) => spawn(builder, endpoint.clone().into_connector()),
         PortName::Emulated(pose) => {
             let emulator = Emulator::builder().world(Room::new(0).seen_from(*pose));
+            let emulator = match protocol {
+                // Not each firmware speaks it.
+                Some(Protocol::Scip2) => emulator.firmware(Firmware::V31),
+                _ => emulator,
+            };
             // `--baud` needs an emulated RS-232 sensor: USB has no baud rate.
             let emulator = match link.baud {
                 Some(_) => emulator.baud_rate(BaudRate::B19200),
@@ -59,7 +69,7 @@ fn spawn(builder: SensorBuilder, connect: impl Connect) -> Sensor {
     sensor
 }
 
-/// Baud rate of the line. `None` on USB, and on a port that ignores its baud rate, as fast replies
+/// Baud rate of the line. `None` on USB and Ethernet, and on a port that ignores its baud rate, as fast replies
 /// have shown.
 pub(crate) fn line_baud_rate(sensor: &Sensor) -> Option<BaudRate> {
     sensor.watch_state().get().baud_rate().filter(|_| !sensor.stats().baud_rate_disproved)
@@ -105,5 +115,15 @@ pub(crate) async fn opened(
             sensor.watch_state().connected().await
         }
     };
-    opened.map_err(|error| Failure::at(port, &error))
+    opened.map_err(|error| not_opened(port, &error))
+}
+
+fn not_opened(port: &PortName, error: &Error) -> Failure {
+    match (port, error.kind()) {
+        (PortName::Endpoint(Endpoint::Tcp { .. }), ErrorKind::Disconnected { .. }) => {
+            let advice = "a sensor on Ethernet may still boot, or serve another client";
+            Failure::Failed(format!("{}; {advice}", Failure::at(port, error).line()))
+        }
+        _ => Failure::at(port, error),
+    }
 }

@@ -17,6 +17,8 @@ pub(crate) struct Layer {
     pub(crate) pose: Pose,
     /// Port, as the user wrote it.
     pub(crate) port: String,
+    /// Name of the line if it has no baud rate.
+    pub(crate) line: &'static str,
     /// `None` until the sensor is open.
     pub(crate) version: Option<Version>,
     pub(crate) rate: Rate,
@@ -35,6 +37,7 @@ impl Layer {
             name,
             pose,
             port: port.to_string(),
+            line: port.line(),
             version: None,
             rate,
             window,

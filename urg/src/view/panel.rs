@@ -101,7 +101,7 @@ impl Panel<'_> {
                 "no baud rate".to_owned()
             }
             State::Connected { baud_rate: Some(speed), .. } => format!("{speed} baud"),
-            State::Connected { baud_rate: None, .. } => "USB".to_owned(),
+            State::Connected { baud_rate: None, .. } => self.layer.line.to_owned(),
             _ => "-".to_owned(),
         };
         vec![self.styled("link", link, style), self.row("line", speed)]
