@@ -81,9 +81,14 @@ impl RecorderBuilder {
     /// doubled. You can replay each file alone: it is complete, with the metadata and a reply
     /// to `V`.
     ///
-    /// Without a limit, a recording is split after 65,000 chunks, 18 hours or more. This
-    /// bounds the index of a file, which stays in memory until its end and takes 100 bytes
-    /// for each chunk.
+    /// Without a limit, a recording is split after 4 GB, because FAT has no longer files, and after
+    /// 65,000 chunks, 18 hours or more. This bounds the index of a file, which stays in memory until
+    /// its end and takes 100 bytes for each chunk.
+    ///
+    /// If a file may not grow (EFBIG), by its file system or a limit of the process, the recording
+    /// continues in the next one, and [`has_outgrown_file`](super::Progress::has_outgrown_file) is set.
+    /// The first such file may have no room for an index; later ones end in time. Ignore the signal
+    /// SIGXFSZ, which a limit of the process sends.
     ///
     /// [`write_to`](Self::write_to) never splits.
     pub fn split_duration(mut self, duration: Duration) -> Self {

@@ -2,7 +2,7 @@
 //! other programs before the next write.
 
 use std::fs::{File, OpenOptions};
-use std::io::{self, Write};
+use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -137,7 +137,8 @@ fn check(file: &File, length: u64) -> io::Result<()> {
     Ok(())
 }
 
-/// Writes a [`RecordingFile`].
+/// Writes a [`RecordingFile`]. Bytes that a regular file has no room for because it may not grow (EFBIG)
+/// are not written in part.
 struct FileWriter {
     file: File,
     is_regular: bool,
@@ -147,12 +148,21 @@ struct FileWriter {
 
 impl Write for FileWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if self.is_regular {
-            check(&self.file, self.length)?;
+        if !self.is_regular {
+            return self.file.write(bytes);
         }
-        let written = self.file.write(bytes)?;
-        self.length += written as u64;
-        Ok(written)
+        check(&self.file, self.length)?;
+        match self.file.write_all(bytes) {
+            // Until here: the rest of `bytes` continues in a further file.
+            Err(error) if error.kind() == io::ErrorKind::FileTooLarge => {
+                self.file.set_len(self.length)?;
+                self.file.seek(SeekFrom::Start(self.length))?;
+                return Err(error);
+            }
+            written => written?,
+        }
+        self.length += bytes.len() as u64;
+        Ok(bytes.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {

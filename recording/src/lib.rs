@@ -58,7 +58,7 @@
 //! clock when a reply's first byte arrived ([`stamp`](tokio_scip::scan::ScanTimes::stamp)). The header
 //! of a scan has the time of its [first ray](tokio_scip::Scan::first_ray_stamp). The metadata
 //! `tokio_scip` identifies the sensor. Nothing in a file is ever changed, so you can read it
-//! wherever it was cut off. After 65,000 chunks, or earlier on request, a recording continues in a
+//! wherever it was cut off. After 4 GB or 65,000 chunks, or earlier on request, a recording continues in a
 //! further file ([`RecorderBuilder::split_duration`]).
 //!
 //! # Replaying

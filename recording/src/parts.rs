@@ -13,6 +13,9 @@ use super::output::Output;
 /// With this many index entries, a file is split at the next opportunity. Less than the maximum,
 /// because the file grows until then.
 pub(super) const MAX_PART_ENTRIES: usize = 65_000;
+/// Longest file without another limit: FAT, on most USB sticks, has room for 4 GiB and the index needs
+/// some of it.
+const MAX_PART_BYTES: u64 = 4_000_000_000;
 /// A larger number is not one of ours. There is room for further ones after it.
 const MAX_PART_NUMBER: u32 = 999_999_999;
 /// A file time before 2020 comes from a clock that was not set yet, and tells nothing
@@ -50,6 +53,8 @@ pub(super) struct Parts {
     old: Vec<OldPart>,
     /// True once a file could not be removed.
     pub(super) cannot_remove: bool,
+    /// True once a file might not grow.
+    pub(super) has_outgrown: bool,
     wrap: Wrap,
 }
 
@@ -71,8 +76,9 @@ impl Parts {
     ) -> Self {
         let last = path.as_ref().and_then(|path| begun_parts(path).pop());
         let number = last.map_or(1, |(number, _)| number);
-        let (old, cannot_remove, wrap) = (Vec::new(), false, Box::new(wrap));
-        let mut parts = Self { limits, path, number, old, cannot_remove, wrap };
+        let (old, wrap) = (Vec::new(), Box::new(wrap));
+        let (cannot_remove, has_outgrown) = (false, false);
+        let mut parts = Self { limits, path, number, old, cannot_remove, has_outgrown, wrap };
         parts.find_old(current);
         parts
     }
@@ -82,7 +88,21 @@ impl Parts {
         self.path.is_some()
             && (index_entries >= MAX_PART_ENTRIES
                 || self.limits.duration.is_some_and(|limit| duration >= limit)
-                || self.limits.bytes.is_some_and(|limit| bytes >= limit))
+                || bytes >= self.limits.bytes.unwrap_or(MAX_PART_BYTES))
+    }
+
+    /// Returns true if `error` ends only the current file, which may not grow: by its file system, or
+    /// by a limit of the process (`ulimit -f`).
+    pub(super) fn continues_after(&self, error: &io::Error) -> bool {
+        self.path.is_some() && error.kind() == io::ErrorKind::FileTooLarge
+    }
+
+    /// Keeps later files so much below a length at which one had no room for more that their index
+    /// fits, too.
+    pub(super) fn stay_below(&mut self, length: u64) {
+        self.has_outgrown = true;
+        let limit = length - length / 16;
+        self.limits.bytes = Some(self.limits.bytes.map_or(limit, |bytes| bytes.min(limit)));
     }
 
     /// Creates the next file, with the next unused number.
@@ -212,4 +232,26 @@ fn part_path(path: &Path, number: u32) -> PathBuf {
         name.push(extension);
     }
     path.with_file_name(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_fits_on_fat_unless_a_longer_one_is_asked_for() {
+        let (path, second) = (Path::new("run.mcap"), Duration::from_secs(1));
+        let parts = |bytes| {
+            let limits = Limits { bytes, ..Limits::default() };
+            Parts::new(limits, Some(path.to_owned()), path, |out| out.writer)
+        };
+        assert!(!parts(None).is_full(second, MAX_PART_BYTES - 1, 1));
+        assert!(parts(None).is_full(second, MAX_PART_BYTES, 1));
+        let mut longer = parts(Some(2 * MAX_PART_BYTES));
+        assert!(!longer.is_full(second, MAX_PART_BYTES, 1));
+        // FAT had no room for more.
+        longer.stay_below(u64::from(u32::MAX) - 1000);
+        assert!(longer.is_full(second, u64::from(u32::MAX) / 16 * 15, 1));
+        assert!(!longer.is_full(second, MAX_PART_BYTES, 1));
+    }
 }

@@ -25,4 +25,7 @@ pub struct Progress {
     /// True if an old file could not be removed: all files together may be larger than
     /// [asked](super::RecorderBuilder::keep_bytes).
     pub cannot_remove: bool,
+    /// True if a file might not grow (EFBIG), and the recording continued in a further one before
+    /// the limit of its own.
+    pub has_outgrown_file: bool,
 }

@@ -235,7 +235,7 @@ fn write_all(
                 return writer.finish().and_then(|()| queue.sync_rest());
             }
         }
-        queue.counts().cannot_remove = writer.cannot_remove();
+        (queue.counts().cannot_remove, queue.counts().has_outgrown_file) = writer.troubles();
         queue.waiting.send_modify(|waiting| *waiting = waiting.map(|waiting| waiting - weight));
         // While items keep arriving, the wait above never times out, so flush here when
         // due.

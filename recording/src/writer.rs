@@ -52,9 +52,11 @@ impl LogClock {
     }
 }
 
+type Mcap = McapWriter<Box<dyn Write + Send>>;
+
 /// Writes a recording, in one file or several.
 pub(super) struct Writer {
-    mcap: McapWriter<Box<dyn Write + Send>>,
+    mcap: Mcap,
     parts: Parts,
     clock: LogClock,
     frame_id: String,
@@ -145,7 +147,7 @@ impl Writer {
     }
 
     pub(super) fn metadata(&mut self, metadata: BTreeMap<String, String>) -> io::Result<()> {
-        self.mcap.metadata(METADATA, &metadata)?;
+        self.step(|mcap| mcap.metadata(METADATA, &metadata))?;
         self.preamble.metadata = Some(metadata);
         Ok(())
     }
@@ -158,24 +160,27 @@ impl Writer {
 
     /// Ends the chunk: all messages so far are in the file and can be read.
     pub(super) fn flush(&mut self) -> io::Result<()> {
+        self.step(McapWriter::flush)?;
         self.chunk_began = None;
-        self.mcap.flush()
+        Ok(())
     }
 
-    /// Returns true if an old file could not be removed.
-    pub(super) fn cannot_remove(&self) -> bool {
-        self.parts.cannot_remove
+    /// Returns whether an old file could not be removed, and whether a file might not grow.
+    pub(super) fn troubles(&self) -> (bool, bool) {
+        (self.parts.cannot_remove, self.parts.has_outgrown)
     }
 
     /// Writes the index and the end of the file.
-    pub(super) fn finish(self) -> io::Result<()> {
-        self.mcap.finish().map(drop)
+    pub(super) fn finish(mut self) -> io::Result<()> {
+        self.flush()?;
+        self.end()
     }
 
     /// Writes the encoded message.
     fn write(&mut self, topic: Topic, sequence: u32, times: Times) -> io::Result<()> {
         let log_time = self.clock.log_time(times.steady);
         if self.is_split_due(log_time) {
+            self.flush()?;
             self.start_next_part(log_time)?;
         }
         let span = self.chunk_began.map(|(began, _)| log_time.saturating_sub(began));
@@ -187,7 +192,10 @@ impl Writer {
         let publish_time = nanos(since_1970(times.wall));
         let channel = topic.channel();
         let header = MessageHeader { channel, sequence, log_time, publish_time };
-        self.mcap.message(header, &self.message)?;
+        let message = std::mem::take(&mut self.message);
+        let written = self.step(|mcap| mcap.message(header, &message));
+        self.message = message;
+        written?;
         // Before the chunk is written, because the disk may have no room for both.
         self.parts.remove_old(self.mcap.len());
         Ok(())
@@ -206,9 +214,45 @@ impl Writer {
         *after_scan || log_time.saturating_sub(full) >= nanos(MAX_SPLIT_DELAY)
     }
 
+    /// Takes a step that may write a chunk. If the file may not grow so far, takes it in a further
+    /// file.
+    fn step(&mut self, step: impl Fn(&mut Mcap) -> io::Result<()>) -> io::Result<()> {
+        match step(&mut self.mcap) {
+            Err(error) if self.parts.continues_after(&error) => {
+                self.outgrow()?;
+                step(&mut self.mcap)
+            }
+            done => done,
+        }
+    }
+
+    /// Continues in a further file with the open chunk, which this file has no room for.
+    fn outgrow(&mut self) -> io::Result<()> {
+        let chunk = self.mcap.take_chunk();
+        self.parts.stay_below(self.mcap.written());
+        let began = self.chunk_began.map(|(began, _)| began).or(self.part.began);
+        let Part { reply, after_scan, .. } = self.part;
+        self.start_next_part(began.unwrap_or_default())?;
+        self.part = Part { began, reply, after_scan, ..Part::default() };
+        self.mcap.put_chunk(chunk)
+    }
+
+    /// Ends the file, which has no open chunk. If it may not grow by its index, it gets none.
+    fn end(&mut self) -> io::Result<()> {
+        match self.mcap.end() {
+            Err(error) if self.parts.continues_after(&error) => self.mcap.end_without_index(),
+            ended => ended,
+        }
+    }
+
     fn start_next_part(&mut self, log_time: u64) -> io::Result<()> {
         // End the file first: if there is no room for another one, this one is complete.
-        self.mcap.end()?;
+        match self.end() {
+            Err(error) if self.parts.continues_after(&error) => {
+                tracing::warn!("a file has no room for its end, which `repair` adds");
+            }
+            ended => ended?,
+        }
         self.mcap = start(self.parts.next()?, self.compression)?;
         self.part = Part::default();
         self.chunk_began = None;
@@ -223,7 +267,7 @@ impl Writer {
             ros::write_labelled_bytes(&mut message, "V", &[bytes, b"\n\n"]);
             let publish_time = nanos(since_1970(*stamp));
             let channel = Topic::Replies.channel();
-            // Gets the number of the next reply, because it is not a reply of its own.
+            // Gets the number of a later reply, because it is not a reply of its own.
             let [sequence, _] = self.numbers;
             let header = MessageHeader { channel, sequence, log_time, publish_time };
             self.mcap.message(header, &message)?;
@@ -233,10 +277,7 @@ impl Writer {
 }
 
 /// Starts a file with the three channels.
-fn start(
-    out: Box<dyn Write + Send>,
-    compression: Compression,
-) -> io::Result<McapWriter<Box<dyn Write + Send>>> {
+fn start(out: Box<dyn Write + Send>, compression: Compression) -> io::Result<Mcap> {
     let mut mcap = McapWriter::start(out, &mcap::header("ros2", LIBRARY), compression)?;
     for topic in Topic::ALL {
         let message = topic.message_type();

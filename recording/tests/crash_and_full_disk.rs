@@ -5,9 +5,12 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use tokio_scip::{ErrorKind, Rate, Sensor, Window};
+use urg_emulator::{Emulator, Model};
 use urg_recording::{Entry, Record, Recorder, Recording, RecordingError, ReplayPace};
 
-use super::sink::{Sink, observed, polls, record, sensor, window};
+use super::sink::{self, Sink, observed, polls, record, sensor, window};
+
+const MODELS: [(Model, f64); 2] = [(Model::Urg04lx, 10.0), (Model::Ust10lx, 40.0)];
 
 /// Returns the offset in `whole` at which `part` ends.
 fn end_of(part: &[u8], whole: &[u8]) -> usize {
@@ -83,7 +86,10 @@ async fn a_flipped_bit_costs_one_chunk() {
 /// At whatever byte the disk becomes full, the file can be read, and the stream goes on.
 #[tokio::test(start_paused = true)]
 async fn o23_a_full_disk_ends_the_recording_and_nothing_else() {
-    for room in [1_000, 10_000, 100_000, 1_200_000] {
+    let rooms = [1_000, 10_000, 100_000, 1_200_000];
+    for (model, hz, room) in
+        MODELS.into_iter().flat_map(|(model, hz)| rooms.map(|room| (model, hz, room)))
+    {
         let sink = Sink::with_room(room);
         let recorder = Recorder::builder().write_to(sink.clone());
         let Ok(mut recorder) = recorder else {
@@ -91,7 +97,7 @@ async fn o23_a_full_disk_ends_the_recording_and_nothing_else() {
             continue;
         };
         let (_sensor, mut scans) =
-            observed(&recorder, sensor(), Window::DETECTION, Rate::hz(10.0)).await;
+            observed(&recorder, sink::model(model), Window::DETECTION, Rate::hz(hz)).await;
         let item = scans.next().await.unwrap();
         // Until a chunk is complete and does not fit on the disk.
         let error = loop {
@@ -161,11 +167,17 @@ impl Write for Slow {
 
 #[tokio::test(start_paused = true)]
 async fn a_stalled_disk_costs_only_scans() {
+    for (model, _) in MODELS {
+        stall(sink::model(model)).await;
+    }
+}
+
+async fn stall(emulator: Emulator) {
     let sink = Sink::new();
     let ((go, wait), (hangs, hung)) = (mpsc::channel(), mpsc::channel());
     let slow = Slow { sink: sink.clone(), hangs, go: wait };
     let mut recorder = Recorder::builder().write_to(slow).unwrap();
-    let sensor = Sensor::builder().on_reply(recorder.observer()).connect(sensor()).await.unwrap();
+    let sensor = Sensor::builder().on_reply(recorder.observer()).connect(emulator).await.unwrap();
     let item = sensor.scan(Window::DETECTION).await;
     // These are twice as many as the queue holds: recording them must not block,
     // not even once the writer hangs and takes nothing from the queue.

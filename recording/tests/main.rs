@@ -17,6 +17,8 @@ mod example;
 mod examples;
 mod field;
 mod file;
+#[cfg(unix)]
+mod file_limit;
 mod folder;
 mod foreign;
 mod foreign_scans;
@@ -24,6 +26,7 @@ mod histories;
 mod hostile;
 mod index;
 mod memory;
+mod nine_sensors;
 mod parts;
 mod pieces;
 mod properties;

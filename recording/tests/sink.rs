@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use tokio::sync::watch;
 use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Window};
-use urg_emulator::{Emulator, Values, WorldTime};
+use urg_emulator::{Emulator, Model, Values, WorldTime};
 use urg_recording::Event;
 use urg_recording::{Entry, Record, RecordedReply, Recorder, Recording, ReplayPace};
 
@@ -72,12 +72,17 @@ impl Write for Sink {
 
 /// Returns a sensor whose scans all differ.
 pub(crate) fn sensor() -> Emulator {
+    model(Model::Urg04lx)
+}
+
+/// Returns a sensor of this model whose scans all differ.
+pub(crate) fn model(model: Model) -> Emulator {
     let world = |time: WorldTime, codes: &mut Values| {
         for (step, slot) in codes.iter_mut().enumerate() {
             *slot = ((time.request * 7 + step as u64 * 3) % 4096) as u32;
         }
     };
-    Emulator::builder().world(world).build()
+    Emulator::builder().model(model).world(world).build()
 }
 
 /// Records `count` scans, and returns them.

@@ -14,7 +14,7 @@ use super::file::{truth_of, write_truth};
 use super::sink::{next, observed, polls, sensor};
 
 /// Returns an empty folder for the files of a test.
-fn folder(name: &str) -> PathBuf {
+pub(super) fn folder(name: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     let _ = fs::remove_dir_all(&folder);
     fs::create_dir_all(&folder).unwrap();
@@ -34,7 +34,7 @@ async fn record(builder: RecorderBuilder, path: &Path) -> Vec<tokio_scip::Scan> 
 }
 
 /// Returns the files of a recording, in order.
-fn parts(path: &Path) -> Vec<PathBuf> {
+pub(super) fn parts(path: &Path) -> Vec<PathBuf> {
     let name = path.file_stem().unwrap().to_str().unwrap();
     let numbered = (2..).map(|n| path.with_file_name(format!("{name}_{n:04}.mcap")));
     [path.to_owned()].into_iter().chain(numbered.take_while(|path| path.exists())).collect()

@@ -561,18 +561,29 @@ fn a_full_disk_keeps_what_was_recorded() {
     let line = failure(&format!("record emulated {} --force", full.path()));
     assert!(line.contains("full.mcap") || line.contains(full.path()), "{line}");
     assert!(line.contains("No space left"), "{line}");
+}
 
-    // As if the disk had room for some scans.
-    let file = Scratch::mcap("quota");
-    let script = format!("trap '' XFSZ; ulimit -f 128; exec $urg record emulated {}", file.path());
+#[test]
+fn a_recording_outlives_the_limit_of_a_file() {
+    let file = Scratch::mcap("limited");
+    // One second fits into a file, and two do not.
+    let script =
+        format!("ulimit -f 128; exec $urg record emulated {} --count 35 --sync 0", file.path());
     let output = shell(&script).output().unwrap();
     let stderr = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(1), "{stderr}");
-    // A slow disk is told before it.
-    let last = stderr.lines().last().unwrap();
-    assert!(last.contains(file.path()) && last.contains("can be read"), "{stderr}");
-    let replay = run(&format!("stream {} --rate max", file.path()), 0);
-    assert!(scans(&replay.stdout).len() >= 10);
+    assert_eq!(output.status.code(), Some(0), "{stderr}");
+    assert_eq!(stderr.matches("may not grow").count(), 1, "{stderr}");
+    assert!(stderr.contains("35 scans") && stderr.contains("none lost"), "{stderr}");
+    let stem = file.path().strip_suffix(".mcap").unwrap();
+    let further = (2..).map(|number| format!("{stem}_{number:04}.mcap"));
+    let parts = [file.path().to_owned()].into_iter().chain(further);
+    let scans = parts.take_while(|path| fs::exists(path).unwrap()).map(|path| {
+        let (scans, _) = contents(Recording::open(&path).unwrap());
+        fs::remove_file(path).unwrap();
+        scans.len()
+    });
+    let scans: Vec<_> = scans.collect();
+    assert!(scans.len() > 2 && scans.iter().sum::<usize>() == 35, "{scans:?}");
 }
 
 #[tokio::test(start_paused = true)]

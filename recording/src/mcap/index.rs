@@ -57,10 +57,10 @@ impl ChunkMessages {
         self.span.unwrap_or_default()
     }
 
-    /// Encodes the records that list the messages after a chunk, and appends to `places` the
-    /// position of each channel's record. The first one is at `start` in the file.
-    fn indexes(&self, start: u64, places: &mut Vec<u8>) -> Vec<u8> {
-        let mut records = Vec::new();
+    /// Encodes the records that list the messages after a chunk, of which the first is at `start`
+    /// in the file, and the place of each channel's record.
+    pub(super) fn indexes(&self, start: u64) -> (Vec<u8>, Vec<u8>) {
+        let (mut records, mut places) = (Vec::new(), Vec::new());
         for (channel, messages) in &self.channels {
             places.extend_from_slice(&channel.to_le_bytes());
             places.extend_from_slice(&(start + records.len() as u64).to_le_bytes());
@@ -73,7 +73,7 @@ impl ChunkMessages {
                 }
             });
         }
-        records
+        (records, places)
     }
 }
 
@@ -129,8 +129,14 @@ impl Index {
         self.limit_length();
     }
 
-    /// Adds a chunk with these messages. Returns the records that follow it.
-    pub(super) fn add_chunk(&mut self, place: &ChunkPlace, messages: &ChunkMessages) -> Vec<u8> {
+    /// Adds a chunk with these messages, followed by the `lists` of them at these `places`.
+    pub(super) fn add_chunk(
+        &mut self,
+        place: &ChunkPlace,
+        messages: &ChunkMessages,
+        lists: &[u8],
+        places: &[u8],
+    ) {
         self.chunks += 1;
         if let Some((first, last)) = messages.span {
             self.span = Some(extend(self.span, first, last));
@@ -138,17 +144,15 @@ impl Index {
         for (channel, messages) in &messages.channels {
             *self.messages.entry(*channel).or_default() += messages.len() as u64;
         }
-        let mut places = Vec::new();
-        let lists = messages.indexes(place.start + place.length, &mut places);
         if self.is_too_long {
-            return lists;
+            return;
         }
         let (first, last) = messages.span();
         put_record(&mut self.chunk_indexes, kind::CHUNK_INDEX, |out| {
             for field in [first, last, place.start, place.length] {
                 out.extend_from_slice(&field.to_le_bytes());
             }
-            put_bytes(out, &places);
+            put_bytes(out, places);
             out.extend_from_slice(&(lists.len() as u64).to_le_bytes());
             put_bytes(out, place.compression.as_bytes());
             for field in [place.compressed, place.size] {
@@ -156,15 +160,18 @@ impl Index {
             }
         });
         self.limit_length();
-        lists
     }
 
-    /// Frees the memory of an index that is too long.
     fn limit_length(&mut self) {
-        self.is_too_long = self.len() > MAX_INDEX_BYTES;
-        if self.is_too_long {
-            (self.chunk_indexes, self.metadata_indexes) = (Vec::new(), Vec::new());
+        if self.len() > MAX_INDEX_BYTES {
+            self.leave_out();
         }
+    }
+
+    /// Frees the memory of an index that is too long: the file gets none.
+    pub(super) fn leave_out(&mut self) {
+        self.is_too_long = true;
+        (self.chunk_indexes, self.metadata_indexes) = (Vec::new(), Vec::new());
     }
 
     /// Appends the summary to `out`, which starts at `base` in the file. Returns the

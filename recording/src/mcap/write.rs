@@ -31,7 +31,7 @@ pub(in super::super) struct McapWriter<W> {
 
 /// Chunk that grows in memory.
 #[derive(Default)]
-struct OpenChunk {
+pub(in super::super) struct OpenChunk {
     /// Record of the chunk from its beginning. Its head is filled in at the end.
     record: Vec<u8>,
     messages: ChunkMessages,
@@ -74,6 +74,11 @@ impl<W: Write> McapWriter<W> {
     pub(in super::super) fn compress_at_least(&mut self, compression: Compression) {
         let known = &mut self.compressor.compression;
         *known = compression.max(*known);
+    }
+
+    /// Number of bytes written.
+    pub(in super::super) fn written(&self) -> u64 {
+        self.offset
     }
 
     /// Length of the file so far, including the open chunk without compression.
@@ -171,7 +176,8 @@ impl<W: Write> McapWriter<W> {
     }
 
     /// Writes the index and the end of the file, and returns the inner writer.
-    pub(in super::super) fn finish(mut self) -> io::Result<W> {
+    #[cfg(test)]
+    pub(super) fn finish(mut self) -> io::Result<W> {
         self.end()?;
         Ok(self.out)
     }
@@ -197,6 +203,24 @@ impl<W: Write> McapWriter<W> {
         self.out.flush()
     }
 
+    /// Writes the end of a file that has no room for its index, after [`end`](Self::end) has failed.
+    pub(in super::super) fn end_without_index(&mut self) -> io::Result<()> {
+        self.index.leave_out();
+        self.end()
+    }
+
+    /// Takes the open chunk, which the file has no room for.
+    pub(in super::super) fn take_chunk(&mut self) -> OpenChunk {
+        std::mem::take(&mut self.chunk)
+    }
+
+    /// Continues with the open chunk of a file that has the same channels.
+    pub(in super::super) fn put_chunk(&mut self, chunk: OpenChunk) -> io::Result<()> {
+        self.end_chunk()?;
+        self.chunk = chunk;
+        Ok(())
+    }
+
     /// Makes room for the head of the open chunk, unless it has begun.
     fn begin_chunk(&mut self) {
         let record = &mut self.chunk.record;
@@ -210,7 +234,8 @@ impl<W: Write> McapWriter<W> {
         }
     }
 
-    /// Writes the open chunk, followed by the positions of its messages.
+    /// Writes the open chunk, followed by the positions of its messages, all at once. If that fails, the
+    /// chunk stays open.
     fn end_chunk(&mut self) -> io::Result<()> {
         let mut chunk = std::mem::take(&mut self.chunk);
         if chunk.record.is_empty() {
@@ -239,17 +264,24 @@ impl<W: Write> McapWriter<W> {
         if let Some(place) = record.get_mut(..head_bytes) {
             place.copy_from_slice(&head);
         }
+        let length = record.len();
         let place = ChunkPlace {
             start: self.offset,
-            length: record.len() as u64,
+            length: length as u64,
             compression,
-            compressed: (record.len() - head_bytes) as u64,
+            compressed: (length - head_bytes) as u64,
             size: size as u64,
         };
-        self.out.write_all(record)?;
-        self.offset += place.length;
-        let lists = self.index.add_chunk(&place, &chunk.messages);
-        self.write(&lists)?;
+        let (lists, places) = chunk.messages.indexes(place.start + place.length);
+        record.extend_from_slice(&lists);
+        let written = self.out.write_all(record);
+        if let Err(error) = written {
+            record.truncate(length);
+            self.chunk = chunk;
+            return Err(error);
+        }
+        self.offset += record.len() as u64;
+        self.index.add_chunk(&place, &chunk.messages, &lists, &places);
         // The next chunk reuses the memory.
         chunk.record.clear();
         self.chunk.record = chunk.record;

@@ -62,7 +62,7 @@ pub(crate) struct Record {
     #[arg(long)]
     force: bool,
     /// Start a new file, run_0002.mcap and so on, after this time or size: 1h, 30m,
-    /// 500MB, 2GB [default: after 65,000 seconds of data]
+    /// 500MB, 2GB [default: after 4 GB or 65,000 seconds of data]
     ///
     /// Each file is complete: you can replay it alone. No scan is lost or written twice.
     /// New files never overwrite others: they take the next free number.

@@ -22,7 +22,7 @@ const REFRESH_INTERVAL: Duration = Duration::from_millis(200);
 
 /// What can go wrong without ending the recording, and the notice of it.
 type Trouble = (fn(&Progress) -> bool, &'static str);
-const TROUBLES: [Trouble; 3] = [
+const TROUBLES: [Trouble; 4] = [
     (
         |progress| progress.cannot_sync,
         "this file system cannot sync files: if the power fails, more is lost",
@@ -31,6 +31,11 @@ const TROUBLES: [Trouble; 3] = [
         |progress| progress.late_syncs > 0,
         "the disk is slow: it takes longer than --sync for what is written; no scan is delayed, but \
          more is lost if the power fails",
+    ),
+    (
+        |progress| progress.has_outgrown_file,
+        "the file may not grow (its file system or `ulimit -f` limits it): the recording continues in \
+         a further file",
     ),
     (
         |progress| progress.cannot_remove,
