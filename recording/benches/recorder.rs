@@ -3,7 +3,8 @@
 //! part of the recording is removed when the next one has begun.
 //!
 //! `cargo bench -p urg-recording` takes minutes and 7 GB of disk.
-//! `-- 86400` records so many seconds only.
+//! `-- 86400` records so many seconds only. `-- outgrow FOLDER` records without a sensor, as fast as
+//! possible, until a file may not grow (4 GiB on FAT), and then as much again as a minute has.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -11,15 +12,22 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use futures::FutureExt;
-use tokio_scip::{Rate, Sensor, Window};
+use tokio_scip::{Rate, Scan, Sensor, Window};
 use urg_emulator::{Emulator, Fixed, Pace};
-use urg_recording::Recorder;
+use urg_recording::{Entry, Recorder, Recording};
 
 /// Just before a file has all the chunks that its index may have, and a week.
 const SPANS: [u64; 2] = [65_500, 7 * DAY];
 const DAY: u64 = 24 * 60 * 60;
 
 fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    if let [mode, folder, ..] = &arguments[..]
+        && mode == "outgrow"
+    {
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        return runtime.block_on(outgrow(Path::new(folder)));
+    }
     let spans: Vec<u64> = std::env::args().filter_map(|argument| argument.parse().ok()).collect();
     let folder = std::env::temp_dir().join(format!("recorder-{}", std::process::id()));
     for &seconds in if spans.is_empty() { &SPANS[..] } else { &spans } {
@@ -64,6 +72,32 @@ async fn record(path: &Path, seconds: u64) {
     assert_eq!((progress.lost, progress.lost_replies), (0, 0));
     println!("finish took {finish:.0?}; resident {:.1} MiB", resident_mib());
     println!("all of it {:.0?}\n", began.elapsed());
+}
+
+async fn outgrow(folder: &Path) {
+    let (path, began) = (folder.join("run.mcap"), Instant::now());
+    let mut recorder = Recorder::builder().split_bytes(10_000_000_000).create(&path).unwrap();
+    let item = Ok(Scan::builder(Window::DETECTION, [1234; 682]).build().unwrap());
+    let (mut scans, mut rest) = (0, 600);
+    while rest > 0 {
+        recorder.record(&item).unwrap();
+        recorder.ready().await;
+        scans += 1;
+        rest -= u64::from(recorder.progress().has_outgrown_file);
+    }
+    let progress = recorder.finish().await.unwrap();
+    println!("{scans} scans recorded in {:.0?}; {progress:?}", began.elapsed());
+    let mut found = 0;
+    for number in 1..=progress.files {
+        let path = part(&path, number);
+        let mut recording = Recording::open(&path).unwrap();
+        let entries = recording.by_ref().map(|record| record.unwrap().entry);
+        let scans = entries.filter(|entry| matches!(entry, Entry::Scan(_))).count();
+        let bytes = path.metadata().unwrap().len();
+        println!("{bytes} bytes, {scans} scans, complete: {}", !recording.is_truncated());
+        found += scans;
+    }
+    assert_eq!((found, progress.lost), (scans, 0));
 }
 
 fn report(place: &str, scans: u64, recorder: &Recorder) {

@@ -25,7 +25,7 @@ HERE = pathlib.Path(__file__).resolve().parent
 MODULES = [
     "virtio_pci", "virtio_blk", "9pnet_virtio", "9p", "overlay", "configfs", "ext4", "vfat",
     "dummy_hcd", "libcomposite", "usb_f_acm", "cdc-acm", "uhci-hcd", "ehci-pci", "ftdi_sio",
-    "dm-flakey",
+    "dm-flakey", "nls_cp437", "nls_ascii",
 ]
 # The gadget driver has as many terminals.
 OPTIONS = {"dummy_hcd": "num=8"}

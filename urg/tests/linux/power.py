@@ -1,8 +1,8 @@
 """What records while the power is cut: runs inside the machine, on an ext4 disk with its
 defaults, until the host ends the machine. Prints its clock twenty times a second.
 
-`run.mcap` is one file. `split*.mcap` are compressed and begin every 0.6 s, and `repaired.mcap` is made of
-`cut.mcap` again and again, so that some cuts hit these moments."""
+`run.mcap` is one file, and so is `zstd.mcap`. `split*.mcap` are compressed with lz4 and begin every 0.6 s, and
+`repaired.mcap` is made of `cut.mcap` again and again, so that some cuts hit these moments."""
 
 import pathlib
 import re
@@ -41,9 +41,10 @@ joined = (DISK / "joined.mcap").read_bytes()
 (DISK / "joined.mcap").unlink()
 subprocess.run(["sync"], check=True)
 start(f"record {port} {DISK}/run.mcap")
+start(f"record emulated {DISK}/zstd.mcap --compress zstd")
 start(f"record emulated {DISK}/split.mcap --split 30kB --compress lz4")
 # The first scans are written.
-while not (DISK / "split_0003.mcap").exists() or size("run.mcap") < 20_000:
+while not (DISK / "split_0003.mcap").exists() or min(size("run.mcap"), size("zstd.mcap")) < 20_000:
     time.sleep(0.05)
 print("@host ready", flush=True)
 repair = None

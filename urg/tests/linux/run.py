@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Boots the machine for one set of checks: run.py usb|system|power|services|cost PROGRAM PLACE
+"""Boots the machine for one set of checks: run.py usb|system|power|fat|services|cost PROGRAM PLACE
 […]. PLACE is a folder for the kernel and the machine's files. Prints `skipped: TOOL` where
 something is missing."""
 
@@ -85,12 +85,22 @@ def cost(program, place, arguments):
     return Machine(place, HERE / "cost.py", [program, seconds, *intervals], disks).run(seconds=int(seconds) + 300)
 
 
-def new_disk(place, name="disk"):
-    """Makes an ext4 file system with its defaults, in a file."""
+def fat(program, place, arguments):
+    """Records beyond the 4 GiB of a file on FAT: `fat BENCH PLACE`, with the program of
+    `recording/benches/recorder.rs`."""
+    image = new_disk(place, "fat", "6G", "mkfs.vfat", "-F", "32")
+    disk = ["-drive", f"file={image},if=virtio,format=raw,cache=unsafe"]
+    code = Machine(place, HERE / "fat.py", [program], disk).run(seconds=7200)
+    image.unlink()
+    return code
+
+
+def new_disk(place, name="disk", size="256M", make="mkfs.ext4", *options):
+    """Makes a file system with its defaults, in a file."""
     image = place / name
     image.unlink(missing_ok=True)
-    subprocess.run(["truncate", "--size", "256M", image], check=True)
-    subprocess.run([tool("mkfs.ext4"), "-q", image], check=True)
+    subprocess.run(["truncate", "--size", size, image], check=True)
+    subprocess.run([tool(make), *(options or ["-q"]), image], check=True, stdout=subprocess.DEVNULL)
     return image
 
 
@@ -217,14 +227,15 @@ def judge(program, files, end, readers):
         urg(program, "repair", files / "cut.mcap", repaired)
     expect(repaired.read_bytes() == again.read_bytes(), "the repaired file is not complete")
     parts = sorted(files.glob("split*.mcap"))
-    last = {path: last_scan(program, path) for path in [files / "run.mcap", *parts]}
+    single = [files / "run.mcap", files / "zstd.mcap"]
+    last = {path: last_scan(program, path) for path in [*single, *parts]}
     begun = [path for path in parts if last[path] is None]
     expect(begun == parts[len(parts) - len(begun):], f"no scans in {[path.name for path in begun]}")
     for path in begun:
         # Nothing of it was on the disk yet.
         last.pop(parts.pop())
-    expect(parts and last[files / "run.mcap"], "no scans")
-    lost = max(end - last[path] for path in [files / "run.mcap", parts[-1]])
+    expect(parts and all(last[path] for path in single), "no scans")
+    lost = max(end - last[path] for path in [*single, parts[-1]])
     expect(lost <= 2, f"expected at most 2 s to be lost, found {lost:.2f} s")
     if readers:
         whole = [again, *[whole_file(path) for path in last]]
@@ -276,7 +287,7 @@ if __name__ == "__main__":
     except PermissionError:
         pass
     try:
-        run = {"usb": usb, "system": system, "power": power, "services": services, "cost": cost}[checks]
+        run = {"usb": usb, "system": system, "power": power, "fat": fat, "services": services, "cost": cost}[checks]
         sys.exit(run(program, place.resolve(), sys.argv[4:]))
     except Skipped as missing:
         print(f"skipped: {missing}")
