@@ -207,6 +207,10 @@ fn write_all(
     items: &mpsc::Receiver<WriteItem>,
     queue: &Queue,
 ) -> io::Result<()> {
+    let report = |writer: &Writer| {
+        let mut counts = queue.counts();
+        (counts.cannot_remove, counts.has_outgrown_file) = writer.troubles();
+    };
     loop {
         let item = match writer.until_flush() {
             None => items.recv().map_err(|_| RecvTimeoutError::Disconnected),
@@ -223,6 +227,9 @@ fn write_all(
             Ok(WriteItem::Finish(done)) => {
                 // First, because the waiting recorder looks for the error at once.
                 queue.fail(writer.finish());
+                report(&writer);
+                // Unlocks the file.
+                drop(writer);
                 // Fails if the recorder's future was dropped.
                 let _ = done.send(());
                 return queue.sync_rest();
@@ -235,7 +242,7 @@ fn write_all(
                 return writer.finish().and_then(|()| queue.sync_rest());
             }
         }
-        (queue.counts().cannot_remove, queue.counts().has_outgrown_file) = writer.troubles();
+        report(&writer);
         queue.waiting.send_modify(|waiting| *waiting = waiting.map(|waiting| waiting - weight));
         // While items keep arriving, the wait above never times out, so flush here when
         // due.

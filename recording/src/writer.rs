@@ -171,7 +171,7 @@ impl Writer {
     }
 
     /// Writes the index and the end of the file.
-    pub(super) fn finish(mut self) -> io::Result<()> {
+    pub(super) fn finish(&mut self) -> io::Result<()> {
         self.flush()?;
         self.end()
     }

@@ -1,7 +1,7 @@
 //! A UST at 40 Hz and eight URGs at 10 Hz are recorded at once, and nothing is missed.
 //!
 //! `SCIP_RECORDED_SECONDS=7200 cargo test -p urg-recording --test recording nine_sensors` records two
-//! hours of the paused clock, in a quarter of an hour.
+//! hours of the paused clock, in 24 minutes on busy cores.
 
 use std::io::pipe;
 use std::time::Duration;

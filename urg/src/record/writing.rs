@@ -83,18 +83,9 @@ impl<'a> Writing<'a> {
             Update::Event(_) => return Ok(()),
         };
         self.recorder.record(&item).map_err(|error| failure(self.target, &error))?;
-        self.tell_troubles();
+        tell_troubles(&self.recorder.progress(), &mut self.are_told);
         self.show_progress();
         Ok(())
-    }
-
-    fn tell_troubles(&mut self) {
-        let progress = self.recorder.progress();
-        for ((is_so, text), is_told) in TROUBLES.into_iter().zip(&mut self.are_told) {
-            if is_so(&progress) && !std::mem::replace(is_told, true) {
-                notice(text);
-            }
-        }
     }
 
     fn show_progress(&mut self) {
@@ -118,15 +109,26 @@ impl<'a> Writing<'a> {
         followed: Result<StreamEnd, Failure>,
         interrupt: &Interrupt,
     ) -> Result<(), Failure> {
-        let Self { recorder, reporter, target, held, began, times, .. } = self;
+        let Self { recorder, reporter, target, held, began, times, mut are_told, .. } = self;
         // Without a scan, the time that it waited for one.
         let recorded = times.length();
         let length = if recorded.is_zero() { began.elapsed() } else { held + recorded };
         let finished = finish(recorder, target, interrupt).await;
         let ended = reporter.finish(followed?);
-        let totals = RecordTotals::new(finished?, &reporter, &times);
+        let progress = finished?;
+        tell_troubles(&progress, &mut are_told);
+        let totals = RecordTotals::new(progress, &reporter, &times);
         notice(format_args!("{target}: {}", totals.after(length)));
         ended
+    }
+}
+
+/// Reports each trouble once.
+fn tell_troubles(progress: &Progress, are_told: &mut [bool; TROUBLES.len()]) {
+    for ((is_so, text), is_told) in TROUBLES.into_iter().zip(are_told) {
+        if is_so(progress) && !std::mem::replace(is_told, true) {
+            notice(text);
+        }
     }
 }
 
