@@ -199,6 +199,27 @@ becomes "return document.documentElement.scrollWidth" 320
 picture two-narrow
 stop other
 
+# A UST, alone and beside a URG: each sector is as large as the room, and not as the sensor's range.
+start ust "on Ethernet" "$urg" emulate --model ust-10lx --tcp 0
+ust=$(grep -o 'tcp://[0-9.:]*' "$work/ust" | head -1)
+size 1280 800 1 false
+served "$ust"
+status Live
+becomes "return radar.layers[0].scan.values.length" 1081
+becomes "return radar.layers[0].reach" 6
+becomes "return radar.layers[0].geometry.max_distance" 60000
+becomes "return $(element marks).textContent" '"02468 m"'
+becomes "return radar.layers[0].codes[65533].kind" '"far"'
+picture ust
+stop other
+served "ust=$ust@0,0.5,0" urg=emulated@0,-0.5,0
+status Live
+becomes "return radar.layers.map(layer => layer.reach).join()" '"6,4.2"'
+becomes "return $(element identity).textContent" '"ust: UST-10LX · urg: SOKUIKI Sensor URG-04LX"'
+picture ust-and-urg
+stop other
+stop ust
+
 # Six sensors: no label covers another one, none is cut off, and the outermost ring has its own.
 served front=emulated@0.3,0,0 rear=emulated@-0.3,0,180 left=emulated@0,1.2,90 right=emulated@0,-1.2,-90 \
     mast=emulated@0.1,0.1,45 gripper=emulated@-0.1,-0.1,-135

@@ -8,7 +8,7 @@ use urg_emulator::{Emulator, Model};
 
 use super::formats::scans;
 use super::program::run;
-use super::web::on_tcp;
+use super::web::{Served, on_tcp};
 
 /// Returns the port of an emulated UST-10LX.
 fn ust() -> (Runtime, String) {
@@ -63,6 +63,33 @@ fn a_protocol_can_be_asked_for() {
     assert!(text.contains("20 to 5600 mm"), "{text}");
     let text = run("info emulated --protocol scip1", 0).stdout;
     assert!(text.contains("20 to 4094 mm"), "{text}");
+}
+
+#[test]
+fn the_state_has_what_the_page_needs_of_a_model() {
+    let (_runtime, port) = ust();
+    let served = Served::start(&format!("{port} --from 0"));
+    served.get("/scans?max=1").line().unwrap();
+    let state = served.state();
+    assert_eq!(state["geometry"]["max_distance"], 60_000);
+    assert_eq!(state["codes"]["65533"]["meaning"], "nothing in range");
+    assert_eq!((&state["reach"], &state["window"]["end"]), (&61.2.into(), &1080.into()));
+    let served = Served::start("emulated");
+    served.get("/scans?max=1").line().unwrap();
+    let code = &served.state()["codes"]["7"]["meaning"];
+    assert_eq!(code, "Distance data on the preceding and succeeding steps have errors");
+}
+
+#[test]
+fn a_picture_is_as_large_as_the_room() {
+    let (_runtime, port) = ust();
+    let svg = run(&format!("scan {port} --format svg"), 0).stdout;
+    for text in ["UST-10LX H0713090", ">6 m<", "(-135.0° to 135.0°)", "A colour for each 1 m."] {
+        assert!(svg.contains(text), "{text}");
+    }
+    assert!(!svg.contains(">8 m<"), "{svg}");
+    let csv = run(&format!("scan {port} --format csv"), 0).stdout;
+    assert!(csv.lines().any(|row| row.ends_with(",65533")), "{csv}");
 }
 
 #[test]

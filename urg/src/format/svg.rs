@@ -37,9 +37,8 @@ text { font-family: Helvetica, Arial, 'DejaVu Sans', sans-serif; font-size: 3.1p
 
 /// Draws the picture, with the name of the sensor.
 pub(crate) fn svg(scan: &Scan, version: &Version) -> String {
-    let geometry = scan.geometry();
-    let sector = Sector::from_window(scan.window(), geometry);
-    let paper = Paper::fitted_to(sector, plot::reach(geometry));
+    let sector = Sector::from_window(scan.window(), scan.geometry());
+    let paper = Paper::fitted_to(sector, plot::reach(scan));
     let mut text = String::with_capacity(64 * 1024);
     // Writing to a `String` is infallible.
     let _ = paper.picture(&mut text, scan, version);
@@ -182,7 +181,7 @@ impl Paper {
     fn points(&self, out: &mut String, scan: &Scan) -> fmt::Result {
         for point in scan.points() {
             let (x, y) = self.at(plot::place(point.range.into(), point.angle.into()));
-            let band = colours::band(point.range.into());
+            let band = colours::band(point.range.into(), colours::width(self.reach));
             writeln!(out, r#"<circle class="d{band}" cx="{x:.2}" cy="{y:.2}" r="0.45"/>"#)?;
         }
         let (x, y) = (self.x, self.y);
@@ -254,11 +253,12 @@ impl Paper {
             row(out, &format!(r#"<path class="track {}" d="M0 0H4"/>"#, kind.name()), &text)?;
         }
         y += 1.0;
-        let about = concat!(
-            "Seen from above, front up; angles counter-clockwise. A colour for each half metre. urg ",
+        let about = format!(
+            "Seen from above, front up; angles counter-clockwise. A colour for each {} m. urg {}",
+            colours::width(self.reach),
             env!("CARGO_PKG_VERSION"),
         );
-        label(out, "small", Anchor::Start, (5.0, y), about)
+        label(out, "small", Anchor::Start, (5.0, y), &about)
     }
 
     fn at(&self, place: Place) -> (f64, f64) {

@@ -21,8 +21,10 @@ pub(crate) const SENSORS: [Colours; 6] = [
     Colours { on_light: "#6b6600", on_dark: "#e0db6c", indexed: 143 },
 ];
 
-/// Metres that share one colour of [`DISTANCES`].
-pub(crate) const BAND: f64 = 0.5;
+/// Widths in metres of the bands that share one colour of [`DISTANCES`], for pictures of any size.
+pub(crate) const WIDTHS: [f64; 9] = [0.5, 1.0, 1.5, 2.0, 2.5, 4.0, 5.0, 8.0, 16.0];
+/// Part of a picture's radius that the bands cover at least.
+pub(crate) const COVERED: f64 = 0.9;
 
 /// Colours of distances, near to far: orange, yellow, green, blue, violet. The last colour
 /// also covers everything farther away.
@@ -37,10 +39,17 @@ pub(crate) const DISTANCES: [Colours; 8] = [
     Colours { on_light: "#6265c1", on_dark: "#adb5ff", indexed: 105 },
 ];
 
-/// Index of a distance's colour in [`DISTANCES`].
-pub(crate) fn band(metres: f64) -> usize {
+/// Width of a band in a picture of this radius: half a metre for a URG-04LX.
+pub(crate) fn width(reach: f64) -> f64 {
+    let covers = |width: &f64| width * DISTANCES.len() as f64 >= COVERED * reach;
+    let [.., widest] = WIDTHS;
+    WIDTHS.into_iter().find(covers).unwrap_or(widest)
+}
+
+/// Index of a distance's colour in [`DISTANCES`], for bands of this width.
+pub(crate) fn band(metres: f64, width: f64) -> usize {
     // A cast from float to integer saturates.
-    ((metres / BAND) as usize).min(DISTANCES.len() - 1)
+    ((metres / width) as usize).min(DISTANCES.len() - 1)
 }
 
 #[cfg(test)]
@@ -49,6 +58,22 @@ mod tests {
 
     #[test]
     fn each_half_metre_has_a_colour() {
+        let band = |metres| band(metres, width(4.2));
         assert_eq!([0.0, 0.49, 0.5, 3.99, 4.0, 99.0].map(band), [0, 0, 1, 7, 7, 7]);
+    }
+
+    #[test]
+    fn the_colours_cover_each_picture() {
+        for (reach, expected) in [
+            (4.2, 0.5),
+            (5.8, 1.0),
+            (10.0, 1.5),
+            (20.0, 2.5),
+            (30.0, 4.0),
+            (61.2, 8.0),
+            (1e3, 16.0),
+        ] {
+            assert_eq!(width(reach), expected, "{reach}");
+        }
     }
 }

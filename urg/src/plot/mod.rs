@@ -7,13 +7,51 @@ pub(crate) mod pose;
 pub(crate) mod summary;
 
 use std::f64::consts::FRAC_PI_2;
+use std::time::Duration;
 
-use tokio_scip::{Geometry, Window};
+use tokio::time::Instant;
+use tokio_scip::{Geometry, Scan, Window};
 
-/// Computes the radius of a whole plot, in metres: a little more than the sensor can measure.
-pub(crate) fn reach(geometry: &Geometry) -> f64 {
+/// Radii in metres of pictures that show less than the sensor can measure. A URG-04LX is always shown
+/// whole.
+pub(crate) const RADII: [f64; 10] = [6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0];
+/// How long a picture keeps its radius after the last point that needed it.
+pub(crate) const HOLD: Duration = Duration::from_secs(10);
+
+/// Computes the largest radius of a plot, in metres: a little more than the sensor can measure.
+pub(crate) fn whole(geometry: &Geometry) -> f64 {
     // Whole decimetres, for round labels: 4.2 m for a URG-04LX.
     (f64::from(*geometry.distances().end()) / 100.0 * 1.02).ceil() / 10.0
+}
+
+/// Computes the radius of a plot that shows all points of a scan, in metres. A sensor that can measure
+/// 60 m is mostly in a room of 5 m.
+pub(crate) fn reach(scan: &Scan) -> f64 {
+    let farthest = scan.points().map(|point| f64::from(point.range)).fold(0.0, f64::max);
+    let whole = whole(scan.geometry());
+    RADII.into_iter().find(|radius| *radius >= farthest).unwrap_or(whole).min(whole)
+}
+
+/// Radius of a plot that follows the scans. It grows at once, and shrinks after [`HOLD`].
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Reach {
+    pub(crate) metres: f64,
+    needed_at: Option<Instant>,
+}
+
+impl Reach {
+    /// Radius before the first scan: that of a URG-04LX.
+    pub(crate) fn new() -> Self {
+        Self { metres: whole(&Geometry::URG_04LX), needed_at: None }
+    }
+
+    pub(crate) fn follow(&mut self, scan: &Scan, now: Instant) {
+        let needed = reach(scan);
+        let is_held = self.needed_at.is_some_and(|at| now.saturating_duration_since(at) < HOLD);
+        if needed >= self.metres || !is_held {
+            *self = Self { metres: needed, needed_at: Some(now) };
+        }
+    }
 }
 
 /// Place on the plot, in metres.
@@ -138,6 +176,9 @@ pub(crate) fn rings(reach: f64) -> impl Iterator<Item = f64> {
 
 #[cfg(test)]
 mod tests {
+    use tokio_scip::Sensor;
+    use urg_emulator::{Emulator, Model, Values, WorldTime};
+
     use super::*;
 
     fn near(a: f64, b: f64) -> bool {
@@ -168,12 +209,51 @@ mod tests {
 
     #[test]
     fn there_are_three_to_ten_rings_at_any_zoom() {
-        assert_eq!(reach(&Geometry::URG_04LX), 4.2);
+        assert_eq!(whole(&Geometry::URG_04LX), 4.2);
         assert_eq!(rings(4.2).collect::<Vec<_>>(), [1.0, 2.0, 3.0, 4.0]);
         assert_eq!(rings(1.0).collect::<Vec<_>>(), [0.25, 0.5, 0.75, 1.0]);
         for reach in [0.5, 2.0, 3.0, 11.0, 99.0, 1005.0, 1e9] {
             assert!((3..=10).contains(&rings(reach).count()), "{reach}");
         }
+    }
+
+    /// Scan of a UST that sees points in these distances.
+    async fn ust(millimetres: &[u32]) -> Scan {
+        let seen = millimetres.to_vec();
+        let world = move |_: WorldTime, values: &mut Values| {
+            values.fill(65_533);
+            values.iter_mut().zip(&seen).for_each(|(value, seen)| *value = *seen);
+        };
+        let emulator = Emulator::builder().model(Model::Ust10lx).world(world).build();
+        let sensor = Sensor::builder().connect(emulator).await.unwrap();
+        sensor.scan(Window::DETECTION).await.unwrap()
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_plot_is_as_large_as_what_the_sensor_sees() {
+        for (seen, expected) in [
+            (&[][..], 6.0),
+            (&[400, 5900], 6.0),
+            (&[9000], 10.0),
+            (&[29_000], 30.0),
+            (&[59_000], 61.2),
+        ] {
+            assert_eq!(reach(&ust(seen).await), expected, "{seen:?}");
+        }
+        let urg = Scan::builder(Window::new(384..=384).unwrap(), [30]).build().unwrap();
+        assert_eq!(reach(&urg), 4.2);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_plot_grows_at_once_and_shrinks_later() {
+        let (near, far) = (ust(&[3000]).await, ust(&[14_000]).await);
+        let (mut shown, start) = (Reach::new(), Instant::now());
+        let mut after = |scan, seconds| {
+            shown.follow(scan, start + Duration::from_secs(seconds));
+            shown.metres
+        };
+        assert_eq!([after(&near, 0), after(&far, 1), after(&near, 2)], [6.0, 15.0, 15.0]);
+        assert_eq!([after(&far, 9), after(&near, 18), after(&near, 19)], [15.0, 15.0, 6.0]);
     }
 
     #[test]

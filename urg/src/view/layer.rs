@@ -1,11 +1,12 @@
 //! [`Layer`]: one sensor in the picture, with its scans, state and statistics.
 
+use tokio::time::Instant;
 use tokio_scip::scan::Pose;
 use tokio_scip::stats::ScheduleStats;
 use tokio_scip::{Geometry, Rate, Scan, State, Stats, Version, Window};
 
 use crate::picture::PictureSource;
-use crate::plot::Place;
+use crate::plot::{Place, Reach};
 use crate::stream::jitter::RecentTimes;
 use crate::stream::rate_watch::schedule;
 
@@ -25,6 +26,7 @@ pub(crate) struct Layer {
     /// Requested window. `scan` may still have the previous window.
     pub(crate) window: Window,
     pub(crate) scan: Option<Scan>,
+    pub(crate) reach: Reach,
     pub(crate) state: State,
     pub(crate) stats: Stats,
     pub(crate) times: RecentTimes,
@@ -42,6 +44,7 @@ impl Layer {
             rate,
             window,
             scan: None,
+            reach: Reach::new(),
             state: State::Closed { error: None },
             stats: Stats::default(),
             times: RecentTimes::default(),
@@ -60,8 +63,18 @@ impl Layer {
         self.scan.as_ref().map_or(&Geometry::URG_04LX, Scan::geometry)
     }
 
+    /// Window of the shown scan, else the requested window.
+    pub(crate) fn shown_window(&self) -> Window {
+        self.scan.as_ref().map_or(self.window, Scan::window)
+    }
+
     pub(crate) fn scanned(&mut self, scan: Scan) {
         self.times.push(scan.received_at());
+        self.show(scan.received_at(), scan);
+    }
+
+    pub(crate) fn show(&mut self, now: Instant, scan: Scan) {
+        self.reach.follow(&scan, now);
         self.scan = Some(scan);
     }
 

@@ -7,12 +7,12 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use tokio_scip::protocol::Protocol;
 use tokio_scip::scan::Pose;
 use tokio_scip::{Scan, Window};
 
 use super::layer::Layer;
 use crate::playback::{PlaybackCommand, PlaybackStatus, seen_through};
-use crate::plot;
 
 /// Ranges of the radar in metres, from which zooming in takes those within the sensors' reach.
 const ZOOMS: [f64; 8] = [30.0, 20.0, 10.0, 5.0, 3.0, 2.0, 1.0, 0.5];
@@ -118,7 +118,7 @@ impl Model {
                 }
             }
             KeyCode::Char('w') => return self.watch(next_window),
-            KeyCode::Char('c') => return self.watch(next_cluster),
+            KeyCode::Char('c') => return self.watch(|layer| next_cluster(layer.window)),
             _ => {}
         }
         None
@@ -145,9 +145,9 @@ impl Model {
     }
 
     /// Changes the window of the selected sensor.
-    fn watch(&mut self, change: impl FnOnce(Window) -> Window) -> Option<Action> {
+    fn watch(&mut self, change: impl FnOnce(&Layer) -> Window) -> Option<Action> {
         let layer = self.layers.get_mut(self.selected)?;
-        let window = change(layer.window);
+        let window = change(layer);
         (window != layer.window).then(|| {
             layer.window = window;
             // A paused picture would hide the new window.
@@ -169,7 +169,7 @@ impl Model {
     pub(crate) fn moved(&mut self, scan: &Scan, status: PlaybackStatus) {
         self.playback = Some(status);
         let Some(layer) = self.layers.get_mut(self.selected) else { return };
-        layer.scan = Some(seen_through(scan, layer.window));
+        layer.show(self.now, seen_through(scan, layer.window));
     }
 
     pub(crate) fn show(&mut self, text: impl Into<String>) {
@@ -192,8 +192,13 @@ impl Model {
         iter::once(whole).chain(ZOOMS.into_iter().filter(move |range| *range < whole))
     }
 
+    /// Distance from a sensor to the rim of its sector, in metres.
+    pub(crate) fn reach_of(&self, layer: &Layer) -> f64 {
+        layer.reach.metres.min(self.reach())
+    }
+
     fn whole_reach(&self) -> f64 {
-        self.layers.iter().map(|layer| plot::reach(layer.geometry())).fold(0.0, f64::max)
+        self.layers.iter().map(|layer| layer.reach.metres).fold(0.0, f64::max)
     }
 
     /// Checks whether the scan of a layer is current. A playback is always current.
@@ -212,9 +217,14 @@ fn scrolled(help: Option<u16>, code: KeyCode) -> Option<u16> {
 }
 
 /// Steps through the most useful windows. Keeps the cluster count.
-fn next_window(window: Window) -> Window {
+fn next_window(layer: &Layer) -> Window {
+    let window = layer.window;
     let degrees = |most: f64| Window::degrees(-most..=most).unwrap_or(Window::DETECTION);
-    let windows = [Window::DETECTION, degrees(90.0), degrees(45.0), Window::FULL];
+    let mut windows = vec![Window::DETECTION, degrees(90.0), degrees(45.0)];
+    // Only in SCIP 1.1 a sensor answers for steps that it does not measure.
+    if layer.geometry().protocol() == Protocol::Scip1 {
+        windows.push(Window::FULL);
+    }
     let same = |other: &Window| (other.start(), other.end()) == (window.start(), window.end());
     // The last window leads to the first, and so does a window outside the list.
     let next = windows.iter().skip_while(|other| !same(other)).nth(1);

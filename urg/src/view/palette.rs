@@ -40,8 +40,9 @@ impl Palette {
         DISTANCES.map(|one| self.indexed(one.indexed))
     }
 
-    pub(crate) fn distance(self, metres: f64) -> Color {
-        self.distances().get(colours::band(metres)).copied().unwrap_or_default()
+    /// Colour of a distance, for bands of this width.
+    pub(crate) fn distance(self, metres: f64, width: f64) -> Color {
+        self.distances().get(colours::band(metres, width)).copied().unwrap_or_default()
     }
 
     /// Colour of a sensor among several. `number` counts from 0. Colours repeat if there are

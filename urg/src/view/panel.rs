@@ -10,7 +10,7 @@ use super::palette::Palette;
 use super::symbols::mark;
 use crate::format::time::{self, clock};
 use crate::playback::PlaybackStatus;
-use crate::plot::colours::BAND;
+use crate::plot::colours;
 use crate::plot::missing::MissingKind;
 use crate::plot::summary::ScanSummary;
 
@@ -130,7 +130,7 @@ impl Panel<'_> {
     }
 
     fn window(&self) -> Vec<Line<'static>> {
-        let window = self.layer.window;
+        let window = self.layer.shown_window();
         let cluster = match window.cluster_count() {
             1 => String::new(),
             count => format!(" by {count}"),
@@ -234,7 +234,7 @@ impl Panel<'_> {
         let colors = self.palette.distances();
         let mut spans = vec![Span::styled("0 ", Palette::quiet())];
         spans.extend(colors.map(|color| Span::styled("██", Style::new().fg(color))));
-        let most = BAND * colors.len() as f64;
+        let most = colours::width(self.layer.reach.metres) * colors.len() as f64;
         spans.push(Span::styled(format!(" {most} m"), Palette::quiet()));
         vec![Line::from(spans)]
     }

@@ -19,6 +19,7 @@ use super::layer::Layer;
 use super::model::Model;
 use super::palette::Palette;
 use super::symbols::{GRID, mark, sign};
+use crate::plot::colours;
 use crate::plot::missing::MissingKind;
 use crate::plot::{self, Anchor, Extent, Place, Sector, pose};
 
@@ -47,7 +48,7 @@ struct Radar<'a> {
     chart: Chart,
     /// Directions that the rings cover.
     sector: Sector,
-    /// Metres to the rim of a sensor.
+    /// Metres to the rim of the selected sensor.
     reach: f64,
     /// Maximum radius of a ring, in metres.
     farthest: f64,
@@ -55,9 +56,9 @@ struct Radar<'a> {
 
 impl<'a> Radar<'a> {
     fn new(area: Rect, model: &'a Model, selected: &'a Layer, palette: Palette) -> Self {
-        let reach = model.reach();
+        let reach = model.reach_of(selected);
         let (sector, extent, margin) = if model.is_common_frame() {
-            (ALL_AROUND, extent(model, reach), (2.0, 1.0))
+            (ALL_AROUND, extent(model), (2.0, 1.0))
         } else {
             let sector = sector_of(selected);
             let Extent { left, right, ahead, behind } = sector.extent();
@@ -99,7 +100,7 @@ impl<'a> Radar<'a> {
                 let color = match self.model.is_live(layer) {
                     false => self.palette.faint(),
                     true if self.model.has_several() => self.palette.sensor(number),
-                    true => self.palette.distance(range),
+                    true => self.palette.distance(range, colours::width(layer.reach.metres)),
                 };
                 self.chart.dot(context, place, color);
             }
@@ -221,15 +222,14 @@ impl<'a> Radar<'a> {
 
 /// Sector of the shown scan, or else of the requested window.
 fn sector_of(layer: &Layer) -> Sector {
-    let window = layer.scan.as_ref().map_or(layer.window, Scan::window);
-    Sector::from_window(window, layer.geometry())
+    Sector::from_window(layer.shown_window(), layer.geometry())
 }
 
 /// Computes the rectangle around the origin that contains all sectors, in metres.
-fn extent(model: &Model, reach: f64) -> Extent {
+fn extent(model: &Model) -> Extent {
     let mut extent = Extent { left: 0.0, right: 0.0, ahead: 0.0, behind: 0.0 };
     for layer in &model.layers {
-        let Sector { from, to } = sector_of(layer);
+        let (reach, Sector { from, to }) = (model.reach_of(layer), sector_of(layer));
         let rim = (0..=48).map(|n| from + (to - from) * f64::from(n) / 48.0);
         rim.for_each(|angle| extent.include(layer.place(reach, angle)));
         extent.include(layer.place(0.0, 0.0));

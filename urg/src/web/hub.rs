@@ -76,7 +76,12 @@ impl Hub {
 
     /// Latest scan, if no scans arrive at the moment.
     pub(super) fn old_scan(&self) -> Option<Scan> {
-        self.health().why.and_then(|_| self.feed.borrow().as_ref()?.latest())
+        self.health().why.and_then(|_| self.latest())
+    }
+
+    /// Newest scan.
+    pub(super) fn latest(&self) -> Option<Scan> {
+        self.feed.borrow().as_ref()?.latest()
     }
 
     pub(super) fn version(&self) -> Option<&Version> {

@@ -1,5 +1,6 @@
 //! Server behind `urg serve`: the page, the streams and their routes.
 
+mod codes;
 mod figures;
 mod hosts;
 mod hub;

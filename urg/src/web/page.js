@@ -43,6 +43,7 @@ function show() {
     state.dataset.level = level;
     sensor.setStale(away || Boolean(trouble));
   }
+  legend();
   radar.requestDraw();
 }
 
@@ -70,7 +71,8 @@ function applyReport(report) {
   }
   const viewers = `${report.viewers} ${report.viewers === 1 ? "viewer" : "viewers"}`;
   const one = [first.sensor?.serial_number, first.port, first.baud_rate ? `${first.baud_rate} baud` : null];
-  setText(by("identity"), (sensors.length > 1 ? [`${sensors.length} sensors`] : one).filter(Boolean).join(" · "));
+  const models = report.sensors.map(({ name, sensor }) => sensor && `${name}: ${sensor.product}`);
+  setText(by("identity"), (sensors.length > 1 ? models : one).filter(Boolean).join(" · "));
   setText(by("about"), `${viewers} · urg ${report.urg}`);
   deck.update(report.sensors.find(({ playback }) => playback)?.playback ?? null);
 }
@@ -102,6 +104,8 @@ function listen() {
     if (!sensor) return;
     if (data.playback) { sensor.report.playback = data.playback; deck.update(data.playback); show(); return; }
     if (data.event) { fetchState(); return; }
+    // Its values mean nothing yet.
+    if (!sensor.report.geometry) { fetchState(); return; }
     sensor.receive(data);
     if (data.position !== undefined) deck.moveTo(data.sequence, data.position);
     if (paused) return;
@@ -123,7 +127,7 @@ function describe() {
   if (index === null) return setText(by("point"), "");
   const { start, cluster, values } = layer.scan;
   const name = layer.name === null ? "" : `${layer.name} · `;
-  setText(by("point"), `${name}${direction(angleOf(layer.scan, index))} · ${meaning(values[index]).text} · step ${start + index * cluster}`);
+  setText(by("point"), `${name}${direction(angleOf(layer.scan, index))} · ${meaning(layer, values[index]).text} · step ${start + index * cluster}`);
 }
 
 // Closes the stream of a hidden page, and replaces a lost stream.
@@ -232,8 +236,15 @@ by("fit").onclick = () => radar.fit();
 by("trail").onclick = trail;
 by("pause").onclick = pause;
 
-// Legend of the distances.
+// Legend of the distances, drawn anew when their colours change.
+let drawn = null;
 function legend() {
+  const { band } = radar;
+  const is = JSON.stringify([band, radar.palette]);
+  if (is === drawn) return;
+  drawn = is;
+  [...by("marks").children].forEach((mark, n) => setText(mark, `${n * BANDS / 4 * band}${n === 4 ? " m" : ""}`));
+  setText(by("bands"), `Points have a colour for each ${band} m, from orange, near, to violet, ${BANDS * band} metres away.`);
   const context = by("scale").getContext("2d");
   const width = context.canvas.width / BANDS;
   for (let n = 0; n < BANDS; n++) {

@@ -6,12 +6,12 @@ use std::hash::BuildHasher;
 use hyper::StatusCode;
 use hyper::header::{CONTENT_SECURITY_POLICY, HeaderValue};
 use serde_json::{Value, json};
-use tokio_scip::{ErrorCode, Geometry, Measurement};
+use tokio_scip::Geometry;
 
 use super::response::{Response, text, whole};
-use crate::plot;
-use crate::plot::colours::{BAND, Colours, DISTANCES, SENSORS};
+use crate::plot::colours::{COVERED, Colours, DISTANCES, SENSORS, WIDTHS};
 use crate::plot::missing::MissingKind;
+use crate::plot::{self, HOLD, RADII};
 
 const HTML: &str = include_str!("page.html");
 const STYLE: &str = include_str!("page.css");
@@ -33,12 +33,15 @@ pub(super) fn page() -> Response {
          frame-ancestors 'none'; require-trusted-types-for 'script'"
     );
     let script = format!(
-        "\"use strict\";\nconst CODES = {};\nconst KINDS = {};\n\
-         const GEOMETRY = {};\nconst REACH = {};\nconst BAND = {BAND};\nconst BANDS = {};\n{}",
-        codes(),
+        "\"use strict\";\nconst KINDS = {};\nconst GEOMETRY = {};\nconst REACH = {};\n\
+         const RADII = {};\nconst HOLD = {};\nconst WIDTHS = {};\nconst COVERED = {COVERED};\n\
+         const BANDS = {};\n{}",
         kinds(),
         json!(Geometry::URG_04LX),
-        plot::reach(&Geometry::URG_04LX),
+        plot::whole(&Geometry::URG_04LX),
+        json!(RADII),
+        HOLD.as_millis(),
+        json!(WIDTHS),
         DISTANCES.len(),
         SCRIPTS.concat()
     );
@@ -54,21 +57,6 @@ pub(super) fn page() -> Response {
         Err(_) => return text(StatusCode::INTERNAL_SERVER_ERROR, "no policy for the page\n"),
     };
     response
-}
-
-fn error_code(value: u32) -> Option<ErrorCode> {
-    match Geometry::URG_04LX.measurement(value) {
-        Measurement::Error(code) => Some(code),
-        _ => None,
-    }
-}
-
-fn codes() -> Value {
-    let codes = (0..=19).filter_map(error_code).map(|code| {
-        let kind = MissingKind::from_measurement(Measurement::Error(code)).map(MissingKind::name);
-        json!({ "kind": kind, "meaning": code.meaning() })
-    });
-    codes.collect()
 }
 
 fn kinds() -> Value {

@@ -3,8 +3,11 @@
 // place in the common frame (metres, radians, upside down or not), and its colour if there
 // are several sensors.
 
-// The server defines what a sensor measures (GEOMETRY), the radius of its sector (REACH), the
-// metres that share a colour (BAND), and the number of colours (BANDS).
+// Each layer has what its sensor measures (geometry), its values that are no distance (codes), and
+// the radius of its sector (reach). The server defines them before the first scan (GEOMETRY, REACH),
+// the radii of smaller pictures (RADII) and how long one lasts (HOLD), the widths of bands that share
+// a colour (WIDTHS), the number of colours (BANDS), and the part of the radius that they cover
+// (COVERED).
 
 // Directions without a distance are marked outside the sector, on one track per kind, in
 // pixels.
@@ -14,12 +17,12 @@ const LABELS = 36;
 
 const degrees = (radians) => radians * 180 / Math.PI;
 
-// Meaning of a raw value: a "distance" in metres, or the reason why it is missing.
-function meaning(value) {
-  if (value > GEOMETRY.max_distance) return { kind: "far", text: "no distance: saturated" };
-  if (value >= GEOMETRY.min_distance) return { kind: "distance", distance: value / 1000, text: `${(value / 1000).toFixed(3)} m` };
-  const code = CODES[value];
-  return { kind: code.kind, text: `no distance, code ${value}: ${code.meaning}` };
+// Meaning of a sensor's raw value: a "distance" in metres, or the reason why it is missing.
+function meaning({ geometry, codes }, value) {
+  const code = codes[value];
+  if (code) return { kind: code.kind, text: `no distance, code ${value}: ${code.meaning}` };
+  if (value > geometry.max_distance) return { kind: "far", text: "no distance: saturated" };
+  return { kind: "distance", distance: value / 1000, text: `${(value / 1000).toFixed(3)} m` };
 }
 
 // Converts the index of a point to its direction in the sensor's frame, and back.
@@ -34,7 +37,7 @@ function indexOf(scan, angle) {
 const bearing = (pose, angle) => pose.yaw + (pose.upsideDown ? -angle : angle);
 const bearingBack = (pose, angle) => pose.upsideDown ? pose.yaw - angle : angle - pose.yaw;
 
-const ORIGIN = { pose: { x: 0, y: 0, yaw: 0, upsideDown: false } };
+const ORIGIN = { pose: { x: 0, y: 0, yaw: 0, upsideDown: false }, geometry: GEOMETRY, reach: REACH };
 
 class Radar {
   constructor(canvas) {
@@ -58,8 +61,14 @@ class Radar {
     this.palette = Array.from({ length: BANDS }, (_, n) => value(`d${n}`));
   }
 
-  colour(metres) {
-    return this.palette[Math.min(BANDS - 1, Math.floor(metres / BAND))];
+  // Metres that share a colour.
+  get band() {
+    const reach = Math.max(...this.layers.map(({ reach }) => reach), 0) || REACH;
+    return WIDTHS.find((width) => BANDS * width >= COVERED * reach) ?? WIDTHS.at(-1);
+  }
+
+  colour(metres, band) {
+    return this.palette[Math.min(BANDS - 1, Math.floor(metres / band))];
   }
 
   get several() { return this.layers.length > 1; }
@@ -78,8 +87,8 @@ class Radar {
   }
 
   // Directions that a layer measures, in radians in its sensor's frame.
-  sector({ scan, window }) {
-    const { steps_per_revolution, first_step, last_step, front_step } = GEOMETRY;
+  sector({ scan, window, geometry }) {
+    const { steps_per_revolution, first_step, last_step, front_step } = geometry;
     const step = 2 * Math.PI / steps_per_revolution;
     const { start, end } = scan ?? window ?? { start: first_step, end: last_step };
     return { from: (start - front_step) * step, to: (end - front_step) * step };
@@ -92,7 +101,7 @@ class Radar {
     for (const layer of layers) {
       const { from, to } = this.sector(layer);
       for (let n = -1; n <= 60; n++) {
-        const [range, angle] = n < 0 ? [0, 0] : [REACH, bearing(layer.pose, from + (to - from) * n / 60)];
+        const [range, angle] = n < 0 ? [0, 0] : [layer.reach, bearing(layer.pose, from + (to - from) * n / 60)];
         const x = layer.pose.x + Math.cos(angle) * range;
         const y = layer.pose.y + Math.sin(angle) * range;
         [left, right] = [Math.min(left, -y), Math.max(right, -y)];
@@ -139,9 +148,10 @@ class Radar {
     let [best, closest] = [null, 14];
     for (const layer of this.layers.filter((layer) => layer.scan)) {
       layer.scan.values.forEach((value, index) => {
-        if (value < 20 || value >= 4095) return;
+        const { kind, distance } = meaning(layer, value);
+        if (kind !== "distance") return;
         const angle = angleOf(layer.scan, index);
-        const [px, py] = this.place(layer, angle, value / 1000, view);
+        const [px, py] = this.place(layer, angle, distance, view);
         const away = Math.hypot(px - x, py - y);
         if (away < closest) [best, closest] = [{ layer, angle }, away];
       });
@@ -191,27 +201,28 @@ class Radar {
       const { from, to } = this.sector(layer);
       context.fillStyle = theme.sector;
       context.beginPath(); context.moveTo(...this.place(layer, 0, 0, view));
-      this.arc(view, layer, REACH, from, to); context.fill();
+      this.arc(view, layer, layer.reach, from, to); context.fill();
     }
     const step = [0.05, 0.1, 0.2, 0.5, 1, 2, 4, 10, 20, 40, 100, 200].find((step) => step * view.scale >= 48) ?? 400;
     if (this.several) return this.commonGrid(view, step);
     const layer = this.layers[0] ?? ORIGIN;
+    const { reach } = layer;
     const { from, to } = this.sector(layer);
     context.strokeStyle = theme.ring;
     context.lineWidth = 1;
     context.beginPath();
     const origin = this.place(layer, 0, 0, view);
-    for (const angle of [from, to]) { context.moveTo(...origin); context.lineTo(...this.place(layer, angle, REACH, view)); }
+    for (const angle of [from, to]) { context.moveTo(...origin); context.lineTo(...this.place(layer, angle, reach, view)); }
     const marks = this.directions(from, to);
     for (const d of marks) {
       const angle = d * Math.PI / 180;
-      context.moveTo(...this.place(layer, angle, 0.15, view)); context.lineTo(...this.place(layer, angle, REACH, view));
+      context.moveTo(...this.place(layer, angle, reach / 28, view)); context.lineTo(...this.place(layer, angle, reach, view));
     }
     context.stroke();
-    const rings = Array.from({ length: Math.floor(REACH / step + 1e-9) }, (_, n) => (n + 1) * step);
-    for (const ring of [...rings, REACH]) { context.beginPath(); this.arc(view, layer, ring, from, to); context.stroke(); }
+    const rings = Array.from({ length: Math.floor(reach / step + 1e-9) }, (_, n) => (n + 1) * step);
+    for (const ring of [...rings, reach]) { context.beginPath(); this.arc(view, layer, ring, from, to); context.stroke(); }
 
-    const rim = REACH + LABELS / view.scale;
+    const rim = reach + LABELS / view.scale;
     for (const d of marks) this.label(2, `${d}°`, [this.place(layer, d * Math.PI / 180, rim, view)]);
     // Beside the right edge, where nothing is measured.
     const outside = bearing(layer.pose, from - Math.PI / 2);
@@ -245,7 +256,7 @@ class Radar {
   // Rings around the common origin, and the outline of each sensor's sector.
   commonGrid(view, step) {
     const { context, theme } = this;
-    const far = Math.max(...this.layers.map(({ pose }) => Math.hypot(pose.x, pose.y))) + REACH;
+    const far = Math.max(...this.layers.map(({ pose, reach }) => Math.hypot(pose.x, pose.y) + reach));
     context.strokeStyle = theme.ring; context.lineWidth = 1;
     const rings = Array.from({ length: Math.floor(far / step) }, (_, n) => (n + 1) * step);
     for (const ring of rings) { context.beginPath(); this.arc(view, ORIGIN, ring, -Math.PI, Math.PI); context.stroke(); }
@@ -258,7 +269,7 @@ class Radar {
       const { from, to } = this.sector(layer);
       context.strokeStyle = theme[layer.colour]; context.globalAlpha = 0.5;
       context.beginPath(); context.moveTo(...this.place(layer, 0, 0, view));
-      this.arc(view, layer, REACH, from, to); context.closePath(); context.stroke();
+      this.arc(view, layer, layer.reach, from, to); context.closePath(); context.stroke();
       context.globalAlpha = 1;
     }
     this.ringLabels(view, ORIGIN, rings, (ring) => this.place(ORIGIN, 0, ring, view));
@@ -298,11 +309,12 @@ class Radar {
     // Points that are not current have no colour, as in the terminal.
     const own = layer.stale ? this.theme.none : layer.colour ? this.theme[layer.colour] : null;
     if (own) context.fillStyle = own;
+    const { band } = this;
     scan.values.forEach((value, index) => {
-      const { kind, distance } = meaning(value);
+      const { kind, distance } = meaning(layer, value);
       if (kind !== "distance") return;
       const [x, y] = this.place(layer, angleOf(scan, index), distance, view);
-      if (!own) context.fillStyle = this.colour(distance);
+      if (!own) context.fillStyle = this.colour(distance, band);
       context.beginPath(); context.arc(x, y, size, 0, 2 * Math.PI); context.fill();
     });
   }
@@ -312,17 +324,17 @@ class Radar {
   marks(view, layer, alpha) {
     const { context, theme } = this;
     const { scan } = layer;
-    const half = Math.max(scan.angle_increment / 2, TRACK / 2 / (REACH * view.scale));
+    const half = Math.max(scan.angle_increment / 2, TRACK / 2 / (layer.reach * view.scale));
     context.globalAlpha = alpha;
     const draw = (kind, offset, width) => {
       context.strokeStyle = theme[kind]; context.lineWidth = width;
       context.beginPath();
       scan.values.forEach((value, index) => {
-        if (meaning(value).kind !== kind) return;
+        if (meaning(layer, value).kind !== kind) return;
         const angle = angleOf(scan, index);
         const middle = -Math.PI / 2 - bearing(layer.pose, angle);
         const [x, y] = this.place(layer, 0, 0, view);
-        const radius = REACH * view.scale + TRACKS[kind] + offset;
+        const radius = layer.reach * view.scale + TRACKS[kind] + offset;
         const first = middle - half;
         context.moveTo(x + Math.cos(first) * radius, y + Math.sin(first) * radius);
         context.arc(x, y, radius, first, middle + half);
@@ -355,8 +367,8 @@ class Radar {
     if (index === null) return;
     const { context, theme } = this;
     const angle = angleOf(layer.scan, index);
-    const { kind, distance } = meaning(layer.scan.values[index]);
-    const range = distance ?? REACH + (TRACKS[kind] + TRACK / 2) / view.scale;
+    const { kind, distance } = meaning(layer, layer.scan.values[index]);
+    const range = distance ?? layer.reach + (TRACKS[kind] + TRACK / 2) / view.scale;
     context.strokeStyle = theme.focus; context.lineWidth = 1.5;
     context.setLineDash([4, 4]);
     context.beginPath(); context.moveTo(...this.place(layer, 0, 0, view));

@@ -22,6 +22,8 @@ class Sensor {
     this.newest = null; // updated even while the picture is paused
     this.trail = [];
     this.nearest = null;
+    this.reach = REACH;
+    this.reachNeeded = -Infinity; // when the picture last needed this radius
     this.stale = false;
     this.came = null; // arrival of the latest scan, on this page's clock
     this.started = performance.now();
@@ -29,7 +31,7 @@ class Sensor {
     this.card.classList.toggle("recorded", report.playback !== null);
     if (this.colour) this.card.style.setProperty("--own", `var(--${this.colour})`);
     setText(this.of("name"), this.name ?? "");
-    this.codes = {};
+    this.counted = {}; // elements, by kind
     for (const [kind, words] of KINDS) {
       const [item, mark, text, count] = ["li", "i", "span", "b"].map((name) => document.createElement(name));
       mark.dataset.kind = kind;
@@ -37,10 +39,13 @@ class Sensor {
       setText(count, "–");
       item.append(mark, text, count);
       this.card.querySelector(".codes").append(item);
-      this.codes[kind] = count;
+      this.counted[kind] = count;
     }
     this.report = report;
   }
+
+  get geometry() { return this.report.geometry ?? GEOMETRY; }
+  get codes() { return this.report.codes ?? {}; }
 
   of(name) { return this.card.querySelector(`[data-of=${name}]`); }
 
@@ -82,16 +87,28 @@ class Sensor {
     this.scan = scan;
     const counts = Object.fromEntries(KINDS.map(([kind]) => [kind, 0]));
     this.nearest = null;
+    let farthest = 0;
     scan.values.forEach((value, index) => {
-      const { kind, distance } = meaning(value);
-      if (kind !== "distance") counts[kind]++;
-      else if (!this.nearest || distance < this.nearest.distance) this.nearest = { distance, angle: angleOf(scan, index) };
+      const { kind, distance } = meaning(this, value);
+      if (kind !== "distance") { counts[kind]++; return; }
+      farthest = Math.max(farthest, distance);
+      if (!this.nearest || distance < this.nearest.distance) this.nearest = { distance, angle: angleOf(scan, index) };
     });
-    for (const kind in counts) setText(this.codes[kind], String(counts[kind]));
+    this.follow(farthest);
+    for (const kind in counts) setText(this.counted[kind], String(counts[kind]));
     const missing = Object.values(counts).reduce((sum, count) => sum + count, 0);
     this.figure("points", String(scan.values.length - missing), `of ${scan.values.length}`);
     if (this.nearest) this.figure("nearest", this.nearest.distance.toFixed(2), `m at ${direction(this.nearest.angle, 0)}`);
     else setText(this.of("nearest"), "–");
+  }
+
+  // Chooses a radius that shows a point so far away: it grows at once, and shrinks later.
+  follow(farthest) {
+    const whole = this.report.reach ?? REACH;
+    const needed = Math.min(RADII.find((radius) => radius >= farthest) ?? whole, whole);
+    const now = performance.now();
+    if (needed < this.reach && now - this.reachNeeded < HOLD) return;
+    [this.reach, this.reachNeeded] = [needed, now];
   }
 
   // Shows a number, with its unit or reference in small print.

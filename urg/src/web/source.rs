@@ -9,6 +9,7 @@ use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 use tokio_scip::{Scan, Version};
 
+use super::codes::ErrorCodes;
 use super::hub::Hub;
 use super::line::{NewestLine, ViewerLine};
 use crate::args::LinkArgs;
@@ -24,6 +25,7 @@ pub(crate) struct SiteSource {
     pub(super) picture: Arc<PictureSource>,
     kind: SourceKind,
     newest: NewestLine,
+    pub(super) codes: ErrorCodes,
 }
 
 #[derive(Debug)]
@@ -49,7 +51,12 @@ impl SiteSource {
             Some(recorded) => SourceKind::Recording(Player::start(recorded, settings).await?),
             None => SourceKind::Sensor(Hub::new(Arc::clone(&picture))),
         };
-        Ok(Arc::new(Self { picture, kind, newest: NewestLine::default() }))
+        Ok(Arc::new(Self {
+            picture,
+            kind,
+            newest: NewestLine::default(),
+            codes: ErrorCodes::default(),
+        }))
     }
 
     /// Runs until the source ends permanently: a playback, when its file becomes unreadable.
@@ -95,6 +102,14 @@ impl SiteSource {
         match &self.kind {
             SourceKind::Sensor(hub) => hub.version(),
             SourceKind::Recording(player) => Some(player.version()),
+        }
+    }
+
+    /// Newest scan of a sensor, or the shown scan of a recording.
+    pub(super) fn latest(&self) -> Option<Scan> {
+        match &self.kind {
+            SourceKind::Sensor(hub) => hub.latest(),
+            SourceKind::Recording(player) => Some(player.shown().borrow().scan.clone()),
         }
     }
 

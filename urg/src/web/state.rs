@@ -5,14 +5,14 @@ use std::sync::Arc;
 
 use hyper::StatusCode;
 use serde_json::{Value, json};
-use tokio_scip::Sensor;
+use tokio_scip::{Scan, Sensor};
 
 use super::Site;
 use super::hub::Hub;
 use super::response::{Response, whole};
 use super::source::SiteSource;
 use crate::playback::Player;
-use crate::plot::pose;
+use crate::plot::{self, pose};
 use crate::port::open::line_baud_rate;
 use crate::stream::health::SensorHealth;
 
@@ -35,6 +35,8 @@ fn sensor(source: &SiteSource) -> Value {
     let latency = stats.as_ref().map(|stats| stats.reply_latency);
     let schedule = stats.as_ref().and_then(|stats| stats.schedules.first());
     let reached = schedule.and_then(|schedule| schedule.reached);
+    let latest = source.latest();
+    let geometry = latest.as_ref().map(Scan::geometry);
     json!({
         "name": source.name(),
         "pose": {
@@ -47,7 +49,12 @@ fn sensor(source: &SiteSource) -> Value {
         "why": health.why,
         // Null on USB, and on a port that ignores it.
         "baud_rate": sensor.and_then(line_baud_rate),
-        "window": source.picture.window,
+        "window": hub.and(latest.as_ref()).map_or(source.picture.window, Scan::window),
+        // What the sensor measures, its values that are no distance, and the largest radius of its
+        // picture in metres; null before the first scan.
+        "geometry": geometry,
+        "codes": geometry.map(|geometry| source.codes.of(geometry)),
+        "reach": geometry.map(plot::whole),
         // Null for the maximum.
         "asked": hub.and_then(|_| source.picture.rate.period()).map(|one| 1.0 / one.as_secs_f64()),
         "reached": reached.or_else(|| jitter.map(|jitter| 1.0 / jitter.mean)),

@@ -161,7 +161,7 @@ async fn a_point_is_where_it_was_measured() {
         let sensor = rows.iter().position(|row| row.contains('▲')).unwrap();
         let column = rows[sensor].chars().position(|symbol| symbol == '▲').unwrap();
         let terminal = terminal(model, 80, 24, Palette::Coloured);
-        let near = Palette::Coloured.distance(2.0);
+        let near = Palette::Coloured.distance(2.0, 0.5);
         let buffer = terminal.backend().buffer().clone();
         let at = |row: usize| buffer[(column as u16, row as u16)].fg == near;
         // Number of rows from the sensor to its point.
