@@ -18,6 +18,6 @@ macro_rules! chapters {
 }
 
 chapters! {
-    polling trust recovery baud_rates geometry time testing operating logging common_issues recipes design
-    rationale
+    polling trust recovery baud_rates geometry models time testing operating logging common_issues
+    recipes design rationale
 }
