@@ -8,6 +8,7 @@ use parking_lot::Mutex;
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 use tokio_scip::Rate;
+use tokio_scip::scan::Pose;
 use urg_recording::ros::Transform;
 
 use crate::args::{LinkArgs, WindowArgs, frame_id, listen_address};
@@ -15,7 +16,7 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
 use crate::plot::pose::{self, FARTHEST};
-use crate::port::name::{PortArg, missing_port};
+use crate::port::name::{PortArg, PortName, missing_port};
 use crate::port::named::NamedPort;
 use crate::publish::{
     Discovery, EngineName, EngineSettings, Mode, NameArgs, NodeNames, Qos, RunningEngine, Source,
@@ -55,6 +56,9 @@ pub(crate) struct Publish {
     /// Port of the sensor; for several sensors, give each as NAME=PORT
     #[arg(value_name = "PORT")]
     sensors: Vec<NamedPort>,
+    /// Port of the sensor without PORT: the parameters of a launch file name it
+    #[arg(long, value_name = "PORT", hide = true)]
+    port: Option<NamedPort>,
     /// Network to publish on
     #[arg(long, value_enum, value_name = "ENGINE", default_value_t = DEFAULT_ENGINE)]
     engine: EngineName,
@@ -97,6 +101,10 @@ pub(crate) struct Publish {
     /// recording: its own pace]
     #[arg(long, value_name = "HZ")]
     rate: Option<Rate>,
+    /// Publish each scan of the sensor (0), each second one (1) and so on, instead of --rate
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=9),
+        allow_hyphen_values = true, conflicts_with = "rate")]
+    skip: Option<u32>,
     #[command(flatten)]
     window: WindowArgs,
     #[command(flatten)]
@@ -124,16 +132,36 @@ Examples:
 impl Publish {
     /// Returns the nodes, or none if a name is invalid.
     pub(crate) fn nodes(&self) -> Vec<NodeNames> {
-        self.names.resolve(&self.sensors).unwrap_or_default()
+        // Without a sensor yet: the parameters of the node may name its port.
+        let sensors = match &*self.sensors() {
+            [] => vec![NamedPort::from(PortName::Emulated(Pose::default()))],
+            sensors => sensors.to_vec(),
+        };
+        self.names.resolve(&sensors).unwrap_or_default()
+    }
+
+    fn sensors(&self) -> Vec<NamedPort> {
+        match &*self.sensors {
+            [] => self.port.iter().cloned().collect(),
+            sensors => sensors.to_vec(),
+        }
     }
 
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        if self.sensors.is_empty() {
+        let sensors = self.sensors();
+        if sensors.is_empty() {
             return Err(missing_port().await);
         }
-        let names = self.names.resolve(&self.sensors)?;
+        if !self.sensors.is_empty() && self.port.is_some() {
+            notice("the port of the parameters changes nothing: the command line has one");
+        }
+        let names = self.names.resolve(&sensors)?;
         let mut polled = Vec::new();
-        for sensor in &self.sensors {
+        for sensor in &sensors {
+            if self.skip.is_some() && sensor.port.recorded().is_some() {
+                let text = format!("--skip is for a sensor: {} is a recording", sensor.port);
+                return Err(Failure::Usage(text));
+            }
             let port = PortArg { name: Some(sensor.port.clone()) };
             let (port, rate) = interrupt.unless(port.polled_at(self.rate)).await?;
             let window = self.window.window(port.default_window())?;
@@ -154,6 +182,7 @@ impl Publish {
                 link: self.link.clone(),
                 window,
                 rate,
+                skip: self.skip,
                 names,
                 time_offset: self.time_offset,
                 outlet,
@@ -318,5 +347,88 @@ fn mounting(text: &str) -> Result<Transform, String> {
              at most {FARTHEST} m and 360°, and `,upside-down` or `,PITCH,ROLL` after it for a \
              sensor that is not upright"
         )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use tokio_scip::Window;
+
+    use super::*;
+    use crate::publish::ros_args;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        publish: Publish,
+    }
+
+    /// Starts the node with a file of parameters, as a launch file does.
+    fn launched(parameters: &str, more: &[&str]) -> Result<Publish, String> {
+        let yaml = tempfile::NamedTempFile::new().unwrap();
+        let text = format!("urg_node2: {{ros__parameters: {{{parameters}}}}}");
+        std::fs::write(yaml.path(), text).unwrap();
+        let path = yaml.path().to_str().unwrap();
+        let names = ["urg", "--ros-args", "-r", "__node:=urg_node2", "-r", "scan:=scan_1st"];
+        let file = ["--params-file", path];
+        let arguments = names.iter().chain(&file).chain(more);
+        let nodes = |line: &[std::ffi::OsString]| {
+            Line::try_parse_from(line).map(|line| line.publish.nodes()).unwrap_or_default()
+        };
+        let line = ros_args::as_options(arguments.map(Into::into).collect(), nodes);
+        let line = line.map_err(|failure| failure.line().to_owned())?;
+        let line = Line::try_parse_from(line).map_err(|error| error.to_string())?;
+        Ok(line.publish)
+    }
+
+    fn ports(publish: &Publish) -> Vec<String> {
+        publish.sensors().iter().map(|sensor| sensor.port.to_string()).collect()
+    }
+
+    #[test]
+    fn a_file_of_urg_node2_names_sensor_window_and_rate() {
+        let ethernet = "ip_address: '192.168.0.10', ip_port: 10940, frame_id: 'laser_1st', \
+                        calibrate_time: false, synchronize_time: false, publish_intensity: false, \
+                        publish_multiecho: false, error_limit: 4, error_reset_period: 5.0, \
+                        diagnostics_tolerance: 0.05, diagnostics_window_time: 5.0, \
+                        time_offset: 0.0, angle_min: -3.14, angle_max: 3.14, skip: 0, cluster: 1";
+        let publish = launched(ethernet, &[]).unwrap();
+        assert_eq!(ports(&publish), ["tcp://192.168.0.10:10940"]);
+        assert_eq!(publish.skip, Some(0));
+        assert_eq!(publish.window.window(Window::DETECTION).unwrap(), Window::DETECTION);
+        let names = publish.names.resolve(&publish.sensors()).unwrap().remove(0);
+        assert_eq!(
+            (names.full_name(), names.topic, names.frame),
+            ("/urg_node2".into(), "/scan_1st".into(), "laser_1st".into())
+        );
+        let serial = "serial_port: '/dev/ttyACM0', serial_baud: 115200, angle_min: -1.570797, \
+                      angle_max: 1.570797, skip: 3, cluster: 2";
+        let publish = launched(serial, &[]).unwrap();
+        assert_eq!(ports(&publish), ["/dev/ttyACM0"]);
+        assert_eq!((publish.skip, publish.link.baud), (Some(3), "115200".parse().ok()));
+        let window = publish.window.window(Window::DETECTION).unwrap();
+        assert_eq!((window.start(), window.end(), window.cluster_count()), (128, 640, 2));
+    }
+
+    #[test]
+    fn a_port_on_the_command_line_comes_first() {
+        let publish = launched("ip_address: '10.0.0.1'", &["--", "emulated"]).unwrap();
+        assert_eq!(ports(&publish), ["emulated"]);
+    }
+
+    #[test]
+    fn a_parameter_that_no_sensor_has_is_refused() {
+        for (parameters, expected) in [
+            ("skip: 10", "10 is not in 0..=9"),
+            ("cluster: 0", "0 is not in 1..=99"),
+            ("ip_address: '10.0.0.1', ip_port: 0", "1 to 65535"),
+            ("angle_min: left", "expected radians for angle_min"),
+            ("angle_max: [1]", "expected one value for angle_max"),
+            ("skip: 0, rate: 10", "cannot be used with"),
+        ] {
+            let error = launched(parameters, &[]).err().unwrap();
+            assert!(error.contains(expected), "{parameters}: {error}");
+        }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use tokio_scip::{Rate, Sensor, State, Version, Window};
+use tokio_scip::{Geometry, Rate, Sensor, State, Version, Window};
 use urg_recording::ros::{DiagnosticLevel, DiagnosticStatus};
 
 use super::engine::Outlet;
@@ -15,6 +15,7 @@ pub(crate) struct Condition {
     /// `None` before the driver is started.
     pub(super) sensor: Option<Sensor>,
     pub(super) version: Option<Version>,
+    pub(super) geometry: Option<Geometry>,
     pub(super) ended: Option<String>,
 }
 
@@ -36,7 +37,14 @@ impl Condition {
         let link = health.link.to_owned();
         let (level, message) = self.judge(health, state.as_ref(), age.is_some(), rate, reached);
         let counted = outlet.counts.lock().clone();
-        let version = self.version.as_ref();
+        let (version, geometry) = (self.version.as_ref(), self.geometry.as_ref());
+        let range =
+            |range: std::ops::RangeInclusive<u32>| format!("{} to {}", range.start(), range.end());
+        let steps = |geometry: &Geometry| {
+            let (first, last) = geometry.steps().into_inner();
+            format!("{first} to {last} of {}", geometry.steps_per_revolution())
+        };
+        let revolution = |geometry: &Geometry| geometry.revolution().as_secs_f64() * 1000.0;
         let serial_number = shown(version.map(|version| &version.serial_number));
         let last_published = counted.last_published.map(|at| seconds(at.elapsed()));
         let values = vec![
@@ -44,6 +52,10 @@ impl Condition {
             ("Product", shown(version.map(|version| &version.product))),
             ("Serial number", serial_number.clone()),
             ("Firmware", shown(version.map(|version| &version.firmware))),
+            ("Protocol", shown(geometry.map(Geometry::protocol))),
+            ("Measures (mm)", shown(geometry.map(|geometry| range(geometry.distances())))),
+            ("Measures (steps)", shown(geometry.map(steps))),
+            ("Revolution (ms)", shown(geometry.map(revolution))),
             ("Baud rate", shown(state.and_then(|state| state.baud_rate()))),
             ("Rate requested (Hz)", rate.to_string().replace(" Hz", "")),
             ("Rate reached (Hz)", shown(reached.map(|rate| format!("{rate:.2}")))),

@@ -7,7 +7,8 @@
 //! - `send_queue` buffers messages for slow links, and detects links that are stuck.
 //! - `source` publishes one sensor, and `diagnostics` describes its condition.
 //! - `names` are nodes, topics and frames.
-//! - `ros_args` and `discovery` read the arguments and environment variables of ROS 2.
+//! - `ros_args` and `discovery` read the arguments and environment variables of ROS 2, and
+//!   `urg_node` the parameters of Hokuyo's node.
 #![cfg_attr(
     not(all(feature = "dds", feature = "zenoh", feature = "foxglove")),
     expect(dead_code, reason = "some settings and counters are for one engine only")
@@ -27,6 +28,7 @@ mod running;
 mod send_queue;
 mod source;
 mod topic;
+mod urg_node;
 #[cfg(feature = "zenoh")]
 mod zenoh;
 

@@ -7,6 +7,7 @@ use std::ffi::OsString;
 use saphyr_parser::{Event, Parser, ScalarStyle};
 
 use super::names::NodeNames;
+use super::urg_node::{Effect, UrgNodeParameters};
 use crate::failure::Failure;
 use crate::output::notice::notice;
 
@@ -165,7 +166,7 @@ impl RosArgs {
 
     /// Options for the parameters of `nodes`, in their order: the last one applies.
     fn parameters(&self, nodes: &[NodeNames]) -> Result<Vec<String>, Failure> {
-        let mut options = Vec::new();
+        let (mut options, mut urg_node) = (Vec::new(), UrgNodeParameters::default());
         let nodes: Vec<_> = nodes.iter().map(NodeNames::full_name).collect();
         for (text, parameters) in &self.sources {
             let is_ours = |it: &&Parameter| nodes.iter().any(|node| matches(&it.node, node));
@@ -175,12 +176,13 @@ impl RosArgs {
             }
             for Parameter { name, value, .. } in ours {
                 match &**name {
-                    "frame" | "frame_id" | "qos" | "depth" | "time_offset" | "domain"
-                    | "interface" | "rate" | "start" | "end" | "from" | "to" | "cluster" | "tf"
-                    | "engine" | "router" | "mode" | "listen" | "topic" => {
+                    "frame" | "frame_id" | "laser_frame_id" | "qos" | "depth" | "time_offset"
+                    | "domain" | "interface" | "rate" | "start" | "end" | "from" | "to"
+                    | "cluster" | "tf" | "engine" | "router" | "mode" | "listen" | "topic" => {
                         let why = || usage(format!("`{text}`: expected one value for {name}"));
                         let value = value.as_ref().ok_or_else(why)?;
-                        options.push(format!("--{}={value}", name.replace('_', "-")));
+                        let name = name.trim_start_matches("laser_").replace('_', "-");
+                        options.push(format!("--{name}={value}"));
                     }
                     "use_sim_time" => {
                         let value = value.as_deref().map(str::to_ascii_lowercase);
@@ -189,13 +191,21 @@ impl RosArgs {
                             return Err(usage(format!("use_sim_time is not supported: {why}")));
                         };
                     }
-                    _ => notice(format_args!(
-                        "the parameter {name} of `{text}` changes nothing: urg publish has none \
-                         of this name"
-                    )),
+                    _ => {
+                        let effect = urg_node.take(name, value.as_deref());
+                        let why = match effect.map_err(|why| usage(format!("`{text}`: {why}")))? {
+                            Effect::Taken => continue,
+                            Effect::Nothing(why) => why,
+                            Effect::Unknown => "urg publish has none of this name",
+                        };
+                        notice(format_args!(
+                            "the parameter {name} of `{text}` changes nothing: {why}"
+                        ));
+                    }
                 }
             }
         }
+        options.extend(urg_node.options().map_err(usage)?);
         Ok(options)
     }
 }

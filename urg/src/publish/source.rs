@@ -29,6 +29,8 @@ pub(crate) struct Source {
     pub(crate) link: LinkArgs,
     pub(crate) window: Window,
     pub(crate) rate: Rate,
+    /// Number of scans to leave out after each one, instead of `rate`.
+    pub(crate) skip: Option<u32>,
     pub(crate) names: NodeNames,
     /// Seconds to add to each stamp.
     pub(crate) time_offset: f64,
@@ -59,10 +61,11 @@ impl Source {
         self.condition.lock().sensor = Some(sensor.clone());
         opened(&self.port, &self.link, &sensor).await?;
         self.identify(&sensor).await;
+        let rate = self.rate();
         tokio::time::sleep_until(self.next_due(Instant::now())).await;
-        let mut feed = Feed::open(&self.port, &sensor, self.window, self.rate).await?;
+        let mut feed = Feed::open(&self.port, &sensor, self.window, rate).await?;
         let mut reporter =
-            Reporter::new(self.port.clone(), sensor.clone()).with_rate(self.window, self.rate);
+            Reporter::new(self.port.clone(), sensor.clone()).with_rate(self.window, rate);
         while let Some(update) = feed.next().await {
             reporter.report(&update);
             match update {
@@ -85,7 +88,8 @@ impl Source {
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         loop {
             ticks.tick().await;
-            let status = self.condition.lock().status(&node, self.window, self.rate, &self.outlet);
+            let rate = self.rate();
+            let status = self.condition.lock().status(&node, self.window, rate, &self.outlet);
             let mut message = Vec::new();
             ros::write_diagnostics(&mut message, SystemTime::now(), &[status]);
             self.outlet.publish(NodeTopic::Diagnostics, message);
@@ -94,8 +98,18 @@ impl Source {
 
     /// Reads the identity of the sensor. A timeout is ignored: the next reconnect tries again.
     async fn identify(&self, sensor: &Sensor) {
-        if let Ok(version) = sensor.version().await {
-            self.condition.lock().version = Some(version);
+        if let (Ok(version), Ok(geometry)) = (sensor.version().await, sensor.geometry().await) {
+            let mut condition = self.condition.lock();
+            (condition.version, condition.geometry) = (Some(version), Some(geometry));
+        }
+    }
+
+    /// Rate of the polls. With `skip` it depends on the motor of the sensor.
+    fn rate(&self) -> Rate {
+        match (self.skip, self.condition.lock().geometry) {
+            (Some(0), _) => Rate::UNLIMITED,
+            (Some(skip), Some(geometry)) => Rate::every(geometry.revolution() * (skip + 1)),
+            (Some(_) | None, _) => self.rate,
         }
     }
 
@@ -110,7 +124,7 @@ impl Source {
 
     /// Computes when this sensor is due next. A schedule that starts then keeps to the grid.
     fn next_due(&self, now: Instant) -> Instant {
-        let Some(period) = self.rate.period().filter(|period| !period.is_zero()) else {
+        let Some(period) = self.rate().period().filter(|period| !period.is_zero()) else {
             return now;
         };
         let first = self.epoch + period.mul_f64(self.phase);
@@ -151,6 +165,7 @@ mod tests {
                 link: LinkArgs::default(),
                 window: Window::DETECTION,
                 rate: Rate::hz(10.0),
+                skip: None,
                 names: NodeNames::default(),
                 time_offset: 0.0,
                 outlet: Outlet::new(scans, &shared),
