@@ -15,7 +15,7 @@ import tempfile
 import time
 
 PROGRAM, SECONDS = sys.argv[1], int(sys.argv[2])
-UST, URG = ("ust-10lx", 40, "max"), ("urg-04lx", 10, "10")
+UST, URG = ("ust-10lx", 40), ("urg-04lx", 10)
 SENSORS = [(UST, compress) for compress in ["none", "lz4", "zstd"]]
 SENSORS += [(URG, compress) for compress in ["none"] * 4 + ["lz4"] * 2 + ["zstd"] * 2]
 TICKS = os.sysconf("SC_CLK_TCK")
@@ -23,7 +23,7 @@ TICKS = os.sysconf("SC_CLK_TCK")
 
 class Recording:
     def __init__(self, folder, number, sensor, compress):
-        (self.model, self.hz, rate), self.compress = sensor, compress
+        (self.model, self.hz), self.compress = sensor, compress
         self.emulator = subprocess.Popen(
             [PROGRAM, "emulate", "--tcp", "0", "--model", self.model, "--seed", str(number)],
             stderr=subprocess.PIPE, text=True)
@@ -31,7 +31,8 @@ class Recording:
         self.folder = folder / str(number)
         self.folder.mkdir()
         self.process = subprocess.Popen(
-            [PROGRAM, "record", port, self.folder / "run.mcap", "--rate", rate, "--compress", compress, "--split", "5m"],
+            [PROGRAM, "record", port, self.folder / "run.mcap", "--rate", str(self.hz),
+             "--compress", compress, "--split", "5m"],
             stderr=subprocess.PIPE, text=True)
         self.memory = []
 
@@ -50,10 +51,9 @@ class Recording:
         for part in found[2].split(":"):
             length = 60 * length + int(part)
         cpu = (int(fields[11]) + int(fields[12])) / TICKS / scans
-        # The length is in whole seconds, and motors differ by a percent.
-        tolerance = length * self.hz // 100 if self.hz == 40 else 1
+        # The length is in whole seconds.
         is_whole = "none lost" in notices and "skipped" not in notices \
-            and self.hz * length - tolerance <= scans <= self.hz * (length + 1) + tolerance
+            and self.hz * length <= scans <= self.hz * (length + 1) + 1
         grown = self.memory[-1] - self.memory[0]
         print(f"{self.model:8}  {self.compress:4}  {scans:7} scans in {length} s  {size / scans:7.0f} bytes a scan  "
               f"{cpu * 1e6:5.0f} us of CPU a scan  {self.memory[0]} to {self.memory[-1]} KiB, at most {max(self.memory)}")

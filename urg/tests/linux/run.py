@@ -135,10 +135,10 @@ def power(program, place, arguments):
         try:
             expect(until and clock, "the recordings did not begin")
             expect(checked.returncode <= 1, checked.stdout)
-            lost, has_begun = judge(program, files, clock[0], readers)
+            lost, name, has_begun = judge(program, files, clock[0], readers)
             losses.append(lost)
             splits += has_begun
-            print(f"ok      cut {cut + 1} after {seconds:4.1f} s: lost {lost:.2f} s at most", flush=True)
+            print(f"ok      cut {cut + 1} after {seconds:4.1f} s: lost {lost:.2f} s at most, in {name}", flush=True)
         except Exception as error:
             failed += 1
             print(f"FAILED  cut {cut + 1} after {seconds:4.1f} s: {error}", flush=True)
@@ -218,7 +218,7 @@ def readers_of_others(place):
 
 def judge(program, files, end, readers):
     """Returns how many seconds of scans before `end` are missing from the recordings that
-    ran, and whether a part had just begun. Fails if more than two are missing, or if a file
+    ran, and from which one, and whether a part had just begun. Fails if more than two are missing, or if a file
     cannot be read."""
     repaired = files / "repaired.mcap"
     again = repaired.with_suffix(".again.mcap")
@@ -235,8 +235,8 @@ def judge(program, files, end, readers):
         # Nothing of it was on the disk yet.
         last.pop(parts.pop())
     expect(parts and all(last[path] for path in single), "no scans")
-    lost = max(end - last[path] for path in [*single, parts[-1]])
-    expect(lost <= 2, f"expected at most 2 s to be lost, found {lost:.2f} s")
+    lost, name = max((end - last[path], path.name) for path in [*single, parts[-1]])
+    expect(lost <= 2, f"expected at most 2 s to be lost, found {lost:.2f} s in {name}")
     if readers:
         whole = [again, *[whole_file(path) for path in last]]
         counts = json.loads(subprocess.run([*readers, *whole], capture_output=True, text=True, check=True).stdout)
@@ -244,7 +244,7 @@ def judge(program, files, end, readers):
             scans = json.loads(urg(program, "info", path, "--format", "json"))["scans"]
             # The last reply may be in the file without its scan.
             expect(found in [[scans] * 2, [scans - 1] * 2], f"{path}: {scans} scans, others found {found}")
-    return lost, bool(begun)
+    return lost, name, bool(begun)
 
 
 def urg(program, *arguments):
