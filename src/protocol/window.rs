@@ -179,9 +179,13 @@ impl Window {
         }
     }
 
-    /// Returns true if `other` asks for the same on every sensor. Windows that are equal may differ
-    /// in this: one of all that the sensor measures, one of steps 44..=725.
-    pub(crate) fn is_same_wish(&self, other: &Self) -> bool {
+    /// Returns true if `other` asks for the same on every sensor: all that it measures, the same degrees
+    /// or the same steps, in the same clusters. Finds the [statistics](crate::stats::ScheduleStats) of a
+    /// stream, whose window has the steps of the sensor.
+    ///
+    /// Windows that are equal may differ in this: one of all that the sensor measures, one of steps
+    /// 44..=725.
+    pub fn is_same_wish(&self, other: &Self) -> bool {
         self.wish == other.wish
             && self.cluster_count == other.cluster_count
             && (self.wish != Wish::Steps || self == other)

@@ -81,6 +81,13 @@ fn the_state_has_what_the_page_needs_of_a_model() {
 }
 
 #[test]
+fn a_rate_that_a_model_does_not_reach_is_told() {
+    let (_runtime, port) = ust();
+    let output = run(&format!("stream {port} --rate 90 --duration 8s"), 0);
+    assert!(output.stderr.contains("where 90 Hz was asked for"), "{}", output.stderr);
+}
+
+#[test]
 fn a_picture_is_as_large_as_the_room() {
     let (_runtime, port) = ust();
     let svg = run(&format!("scan {port} --format svg"), 0).stdout;

@@ -57,7 +57,7 @@ impl RateWatch {
 
 /// Finds the statistics of the polls of a window.
 pub(crate) fn schedule(stats: &Stats, window: Window) -> Option<&ScheduleStats> {
-    stats.schedules.iter().find(|schedule| schedule.window == window)
+    stats.schedules.iter().find(|schedule| schedule.window.is_same_wish(&window))
 }
 
 #[cfg(test)]

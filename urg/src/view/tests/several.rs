@@ -85,6 +85,36 @@ async fn each_sensor_has_its_colour_its_place_and_its_direction() {
     assert!(seen.iter().any(|cell| cell.1 > left.1 + 2), "{seen:?} {left:?}");
 }
 
+/// A UST that sees a wall at these millimetres, in the front half.
+async fn ust(millimetres: u32) -> Layer {
+    let world = move |_: WorldTime, values: &mut Values| {
+        values.fill(65_533);
+        values.iter_mut().take(900).skip(180).for_each(|value| *value = millimetres);
+    };
+    let emulator = Emulator::builder().model(urg_emulator::Model::Ust10lx).world(world).build();
+    watched(emulator).await.layers.remove(0)
+}
+
+#[tokio::test(start_paused = true)]
+async fn each_model_has_its_own_sector() {
+    for (seen, ring) in [(3_500, "6 m"), (9_500, "10 m"), (29_000, "30 m")] {
+        let mut model = Model::new(vec![ust(seen).await]);
+        let alone = screen(&model, 120, 40);
+        for part in [ring, "UST-10LX", "steps   0 to 1080", "-135.0° to 135.0°", " of 10 Hz"] {
+            assert!(alone.contains(part), "{part:?} is missing in\n{alone}");
+        }
+        model.layers[0].pose = pose(0.0, 0.5, 0.0);
+        model
+            .layers
+            .push(Layer { pose: pose(0.0, -0.5, 0.0), ..watched(ahead()).await.layers.remove(0) });
+        let beside = screen(&model, 120, 40);
+        assert!(beside.contains("▲1") && beside.contains(ring), "{beside}");
+        // The rim of the URG, and the sector around it, stay at 4.2 m.
+        assert_eq!(model.reach_of(&model.layers[1]), 4.2);
+        assert!(model.reach_of(&model.layers[0]) >= f64::from(seen) / 1000.0);
+    }
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_plain_terminal_gets_no_colours() {
     let model = front_and_rear().await;
