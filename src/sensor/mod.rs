@@ -52,7 +52,7 @@ impl Sensor {
     /// # Errors
     ///
     /// Fails at once if the port does not exist, is not a serial port, is in use or may not be
-    /// opened, and on SCIP 2 or a loopback. Fails with
+    /// opened, and on a loopback. Fails with
     /// [`NoAnswer`](crate::ErrorKind::NoAnswer) after the open timeout (5 s).
     ///
     /// # Panics

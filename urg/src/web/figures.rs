@@ -39,6 +39,7 @@ impl Families {
             ("length", stats.malformed.length),
             ("character", stats.malformed.character),
             ("overlong", stats.malformed.overlong),
+            ("line", stats.malformed.line),
         ] {
             let family = ("urg_malformed_total", "counter", "Malformed replies, by fault");
             self.add(family, "", &labelled("fault", fault), value);
@@ -105,12 +106,13 @@ mod tests {
             scans.next().await.unwrap().unwrap();
         }
         let mut stats = sensor.stats();
-        (stats.malformed.echo, stats.refused) = (1, 2);
+        (stats.malformed.echo, stats.malformed.line, stats.refused) = (1, 3, 2);
         let text = text(&stats);
         for line in [
             "urg_scans_total 40\n",
             "urg_malformed_total{fault=\"echo\"} 1\n",
-            "urg_poll_failures_total{cause=\"malformed\"} 1\n",
+            "urg_malformed_total{fault=\"line\"} 3\n",
+            "urg_poll_failures_total{cause=\"malformed\"} 4\n",
             "urg_poll_failures_total{cause=\"refused\"} 2\n",
             "urg_reply_latency_seconds_count 40\n",
             "urg_scan_rate_hertz{window=\"steps 0..=768\",rate=\"10 Hz\"} ",
