@@ -17,9 +17,8 @@ use crate::state::Counters;
 use crate::stats::ScheduleStats;
 use crate::{BaudRate, Error, ErrorKind, Geometry, Rate, Window};
 
-/// Fraction of a revolution, before and after which a new scan is expected, at
-/// [`Rate::UNLIMITED`]: it costs at most one more poll a scan.
-const BEAT_SHARE: u32 = 16;
+/// Largest number of scans that a stream can leave out after each one.
+const MOST_SKIPPED: u8 = 9;
 
 /// All schedules of a driver.
 #[derive(Debug, Default)]
@@ -44,11 +43,19 @@ struct Schedule {
     due: Instant,
     /// Number of scans that readers had missed by the latest one.
     missed: u64,
-    /// Latest scan, at [`Rate::UNLIMITED`] from a sensor that tells its clock.
-    latest: Option<Box<Scan>>,
+    /// True while it gets its scans from the stream, and is not polled.
+    is_streamed: bool,
     /// Kind of the last error since the last scan.
     condition: Option<Discriminant<ErrorKind>>,
     speed: RateMeter,
+}
+
+/// Stream of scans that the sensor sends on its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct StreamWish {
+    pub(crate) window: Window,
+    /// Number of scans to leave out after each one.
+    pub(crate) skipped: u8,
 }
 
 /// Poll that is due.
@@ -117,9 +124,45 @@ impl Schedules {
         }
     }
 
+    /// Stream that serves all schedules which are not too slow for one, if there are any.
+    pub(crate) fn stream(&self, revolution: Duration) -> Option<StreamWish> {
+        let skipped = self.all.iter().filter_map(|schedule| schedule.skipped(revolution)).min()?;
+        // The slow ones can take their scans from it, too.
+        let measured = self.all.iter().filter(|schedule| schedule.is_measured);
+        let window = measured.map(|schedule| schedule.window);
+        Some(StreamWish { window: window.reduce(|one, other| one.hull(&other))?, skipped })
+    }
+
+    /// Serves the schedules from the stream, those that were polled from its first scan on. Returns
+    /// true if the schedule of `poll` is one of them.
+    pub(crate) fn begin_stream(&mut self, poll: DuePoll, revolution: Duration) -> bool {
+        let now = Instant::now();
+        for schedule in &mut self.all {
+            let was_streamed = schedule.is_streamed;
+            schedule.is_streamed = schedule.skipped(revolution).is_some();
+            if schedule.is_streamed && !was_streamed {
+                schedule.due = now;
+            }
+        }
+        find(&mut self.all, poll.window, poll.rate).is_some_and(|schedule| schedule.is_streamed)
+    }
+
+    /// Polls for all schedules again.
+    pub(crate) fn end_stream(&mut self) {
+        self.all.iter_mut().for_each(|schedule| schedule.is_streamed = false);
+    }
+
+    /// Takes a poll for each schedule that a scan of the stream is for now, with the number of grid
+    /// points skipped.
+    pub(crate) fn take_streamed(&mut self, now: Instant) -> Vec<(DuePoll, u64)> {
+        let streamed = self.all.iter_mut().filter(|schedule| schedule.is_streamed);
+        let due = streamed.filter(|schedule| schedule.due <= now);
+        due.map(|schedule| (schedule.poll(), schedule.advance(now))).collect()
+    }
+
     /// When the next poll is due.
     pub(crate) fn next_due(&self) -> Option<Instant> {
-        self.all.iter().map(|schedule| schedule.due).min()
+        self.all.iter().filter(|one| !one.is_streamed).map(|schedule| schedule.due).min()
     }
 
     /// Returns true if nothing is polled.
@@ -132,15 +175,15 @@ impl Schedules {
     /// schedule's readers, so its cost does not grow with the number of schedules.
     pub(crate) fn take_due(&mut self, now: Instant) -> Option<(DuePoll, u64)> {
         loop {
-            let schedule = self.all.iter_mut().min_by_key(|schedule| schedule.due)?;
+            let polled = self.all.iter_mut().filter(|schedule| !schedule.is_streamed);
+            let schedule = polled.min_by_key(|schedule| schedule.due)?;
             if schedule.due > now {
                 return None;
             }
             // Readers own the ring, too. Cheaper than to count them.
             if Arc::strong_count(&schedule.ring) > 1 {
                 let skipped = schedule.advance(now);
-                let Schedule { window, rate, is_measured, .. } = *schedule;
-                return Some((DuePoll { window, rate, is_measured }, skipped));
+                return Some((schedule.poll(), skipped));
             }
             self.drop_unread();
         }
@@ -156,21 +199,12 @@ impl Schedules {
         let Self { all, missed, changed } = self;
         let Some(schedule) = find(all, poll.window, poll.rate) else { return Ended::default() };
         schedule.condition = None;
-        let mut due = None;
-        if poll.rate.period().is_none() && scan.meta.sensor_clock.is_some() {
-            let (next, is_known) = schedule.follow_beat(&scan);
-            due = Some(next);
-            if is_known {
-                let falls_short = schedule.end_poll(baud_rate, due, changed);
-                return Ended { falls_short, ..Ended::default() };
-            }
-        }
         let latency = scan.received_at().saturating_duration_since(scan.meta.requested_at);
         schedule.speed.count_scan(latency, scan.scan_time());
         let (repeats, now_missed) = schedule.ring.push(scan);
         let newly_missed = now_missed - std::mem::replace(&mut schedule.missed, now_missed);
         *missed += newly_missed;
-        let falls_short = schedule.end_poll(baud_rate, due, changed);
+        let falls_short = schedule.end_poll(baud_rate, None, changed);
         Ended { repeats, newly_missed, falls_short }
     }
 
@@ -254,10 +288,25 @@ impl Schedule {
             ring: Ring::new(),
             due: now,
             missed: 0,
-            latest: None,
+            is_streamed: false,
             condition: None,
             speed: RateMeter::new(rate, now),
         }
+    }
+
+    /// Number of scans that a stream may leave out after each one, and still serve this schedule.
+    /// `None` if it is too slow for a stream, or cannot be served at all.
+    fn skipped(&self, revolution: Duration) -> Option<u8> {
+        let period = self.rate.period().unwrap_or_default();
+        // To within a twentieth, so that no rounding halves the rate.
+        let turns = (period + revolution / 20).as_nanos() / revolution.as_nanos().max(1);
+        let skipped = u8::try_from(turns).ok()?.saturating_sub(1);
+        (self.is_measured && skipped <= MOST_SKIPPED).then_some(skipped)
+    }
+
+    fn poll(&self) -> DuePoll {
+        let Self { window, rate, is_measured, .. } = *self;
+        DuePoll { window, rate, is_measured }
     }
 
     /// Advances to the first grid point after `now`, so that a late poll delays at most
@@ -307,22 +356,6 @@ impl Schedule {
         let span = self.speed.finish_span(now, self.window, baud_rate);
         *changed |= span.is_some();
         span.is_some_and(|span| self.speed.is_news(span))
-    }
-
-    /// Follows the beat of a sensor that answers at once, with the scan that it has: returns a time
-    /// shortly before it has the next one, or a little later if this scan is already known. Returns
-    /// true if it is. Its clock may have stopped.
-    #[inline(never)]
-    fn follow_beat(&mut self, scan: &Scan) -> (Instant, bool) {
-        let (requested_at, revolution) = (scan.meta.requested_at, scan.scan_time());
-        let is_known = self.latest.as_ref().is_some_and(|latest| {
-            scan.is_same_as(latest) && requested_at < latest.meta.requested_at + 2 * revolution
-        });
-        if !is_known {
-            self.latest = Some(Box::new(scan.clone()));
-        }
-        let share = revolution / BEAT_SHARE;
-        (requested_at + if is_known { share } else { revolution - share }, is_known)
     }
 
     /// Number of scans that readers missed since the last call.

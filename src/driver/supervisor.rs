@@ -146,10 +146,14 @@ impl Supervisor {
             motor_clock: session.shows_motor().then(|| MotorClock::new(scan_time)),
             ray_order: RayOrder::default(),
             reconnects,
+            streamed: None,
             streaming: false,
             timer: Timer::default(),
         };
         let stop = service.run(session).await;
+        if matches!(stop, Stop::Closed(_) | Stop::Abandoned) {
+            session.stop_stream().await;
+        }
         self.offline.pause();
         self.offline.queue.lose_link();
         // What is known about the motor belongs to the session.

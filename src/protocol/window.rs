@@ -191,6 +191,20 @@ impl Window {
             && (self.wish != Wish::Steps || self == other)
     }
 
+    /// Returns true if a scan of this window shows all of `other`.
+    pub(crate) fn holds(&self, other: &Self) -> bool {
+        let is_inside = self.start <= other.start && other.end <= self.end;
+        self == other || self.cluster_count == 1 && is_inside
+    }
+
+    /// Smallest window that holds both.
+    pub(crate) fn hull(&self, other: &Self) -> Self {
+        if self == other {
+            return *self;
+        }
+        Self::from_steps(self.start.min(other.start), self.end.max(other.end))
+    }
+
     /// Groups the same steps into clusters of `cluster_count` neighbours. The sensor
     /// sends the smallest value of each cluster.
     ///

@@ -108,6 +108,13 @@ impl Scan {
         self.values().iter()
     }
 
+    /// Strengths of the reflections, in the order of their steps, in the sensor's own unit: 18 bits.
+    /// `None` unless you [asked for them](crate::SensorBuilder::intensities) and the sensor has
+    /// them.
+    pub fn intensities(&self) -> Option<impl ExactSizeIterator<Item = u32> + Clone + '_> {
+        self.values.intensities(self.first, self.window.points()).map(|all| all.iter().copied())
+    }
+
     /// Values of the window, in the block that scans of other windows share.
     pub(crate) fn values(&self) -> Part<'_> {
         self.values.part(self.first, self.window.points())

@@ -4,6 +4,8 @@ use std::fmt;
 use std::slice;
 use std::sync::Arc;
 
+use crate::protocol::Geometry;
+
 /// Values of a reply. Scans of several windows may share them.
 #[derive(Debug, Clone)]
 pub(crate) enum Values {
@@ -11,6 +13,8 @@ pub(crate) enum Values {
     Short(Arc<[u16]>),
     /// SCIP 2: 18 bits.
     Long(Arc<[u32]>),
+    /// As many intensities after them, of 18 bits, too.
+    WithIntensities(Arc<[u32]>),
 }
 
 impl Values {
@@ -18,8 +22,44 @@ impl Values {
     pub(super) fn part(&self, first: usize, count: usize) -> Part<'_> {
         match self {
             Self::Short(all) => Part::Short(all.get(first..first + count).unwrap_or_default()),
-            Self::Long(all) => Part::Long(all.get(first..first + count).unwrap_or_default()),
+            Self::Long(all) | Self::WithIntensities(all) => {
+                Part::Long(all.get(first..first + count).unwrap_or_default())
+            }
         }
+    }
+
+    /// Returns the intensities of the same points, if there are any.
+    pub(super) fn intensities(&self, first: usize, count: usize) -> Option<&[u32]> {
+        match self {
+            Self::WithIntensities(all) => all.get(all.len() / 2 + first..)?.get(..count),
+            Self::Short(_) | Self::Long(_) => None,
+        }
+    }
+
+    /// Groups `count` values from `first` on into clusters, as a sensor of SCIP 2 does: each has its
+    /// least distance, or its least value if it has none.
+    pub(crate) fn clustered(
+        &self,
+        first: usize,
+        count: usize,
+        cluster_count: usize,
+        geometry: &Geometry,
+    ) -> Self {
+        let rank = |value: u32| (geometry.measurement(value).distance().is_none(), value);
+        let values: Vec<u32> = self.part(first, count).iter().collect();
+        let clusters = values.chunks(cluster_count.max(1));
+        let Some(intensities) = self.intensities(first, count) else {
+            let least = |cluster: &[u32]| cluster.iter().copied().min_by_key(|value| rank(*value));
+            return Self::Long(clusters.filter_map(least).collect());
+        };
+        let pairs = clusters.zip(intensities.chunks(cluster_count.max(1)));
+        let nearest = pairs.filter_map(|(values, intensities)| {
+            let pairs = values.iter().copied().zip(intensities.iter().copied());
+            pairs.min_by_key(|(value, _)| rank(*value))
+        });
+        let (mut values, intensities): (Vec<u32>, Vec<u32>) = nearest.unzip();
+        values.extend(intensities);
+        Self::WithIntensities(values.into())
     }
 }
 

@@ -11,7 +11,8 @@ use crate::{BaudRate, Rate, Window};
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct Stats {
-    /// `G`s sent for streams and single scans.
+    /// Scans asked for, for streams and single scans: by a `G` each, or sent by a sensor of SCIP 2 on
+    /// its own.
     pub polls: u64,
     /// Scans received.
     pub scans: u64,
@@ -33,6 +34,9 @@ pub struct Stats {
     pub reconnects: u64,
     /// Bytes received that were not part of a reply to the driver's commands.
     pub bytes_skipped: u64,
+    /// Scans that a sensor of SCIP 2 measured while it sent every scan ([`Rate::UNLIMITED`]), and that
+    /// did not arrive whole. Its clock tells.
+    pub lost: u64,
     /// Scans that streams missed because their consumers were slow.
     pub missed: u64,
     /// Polls that were never sent, because the line or the host was busy until the next poll

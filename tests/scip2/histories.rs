@@ -104,7 +104,13 @@ async fn play(seed: u64) {
     let sensor: Sensor = waiting.connect(emulator.clone()).await.unwrap();
     let mut streams = Vec::new();
     for _ in 0..1 + random.below(3) {
-        let rate = *random.pick(&[Rate::UNLIMITED, Rate::hz(10.0), Rate::hz(3.0)]);
+        let rate = *random.pick(&[
+            Rate::UNLIMITED,
+            Rate::hz(20.0),
+            Rate::hz(10.0),
+            Rate::hz(1.0),
+            Rate::hz(0.5),
+        ]);
         let stream = sensor.scans(window(&mut random), rate).await.unwrap();
         streams.push(Followed { stream, rate, latest: None });
     }

@@ -2,6 +2,7 @@
 
 mod histories;
 mod refusals;
+mod streams;
 
 use tokio::io::AsyncWriteExt;
 use tokio_scip::protocol::Protocol;

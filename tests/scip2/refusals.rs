@@ -13,8 +13,8 @@ const VERSION: &str = "00P\nVEND:Hokuyo Automatic Co., Ltd.;;\nPROD:UST-10LX;M\n
 const PARAMETERS: &str = "00P\nMODL:UST-10LX;D\nDMIN:23;7\nDMAX:60000;J\nARES:1440;^\nAMIN:0;?\n\
     AMAX:1080;Z\nAFRT:540;0\nSCAN:2400;U";
 
-/// Returns a sensor that answers within a millisecond, and does not know `GD`.
-fn sensor_without_gd() -> DuplexStream {
+/// Returns a sensor that answers within a millisecond, and knows neither `GD` nor `MD`.
+fn sensor_without_scans() -> DuplexStream {
     let (near, far) = duplex(4096);
     tokio::spawn(async move {
         let (read, mut write) = split(far);
@@ -46,27 +46,32 @@ async fn errors_of(stream: &mut ScanStream) -> Vec<Error> {
     errors
 }
 
-async fn refused() -> (Sensor, Vec<Error>) {
+async fn refused(rate: Rate) -> (Sensor, Vec<Error>) {
     crate::common::limit::limit();
-    let sensor = builder().attach(sensor_without_gd()).await.unwrap();
-    let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+    let sensor = builder().attach(sensor_without_scans()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, rate).await.unwrap();
     let errors = errors_of(&mut stream).await;
     (sensor, errors)
 }
 
 #[tokio::test(start_paused = true)]
 async fn a_refusal_to_measure_is_named() {
-    let (_sensor, errors) = refused().await;
-    let [error] = &errors[..] else { panic!("{errors:?}") };
-    let text = error.to_string();
-    for part in ["BM", "'00'", "refuses to measure", "'0E'"] {
-        assert!(text.contains(part), "{text}");
+    for (rate, parts) in [
+        (Rate::hz(2.0), &["BM", "'00'", "refuses to measure", "'0E'"][..]),
+        (Rate::UNLIMITED, &["refused MD", "'0E'", "does not know the command"]),
+    ] {
+        let (_sensor, errors) = refused(rate).await;
+        let [error] = &errors[..] else { panic!("{errors:?}") };
+        let text = error.to_string();
+        for part in parts {
+            assert!(text.contains(part), "{text}");
+        }
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_refused_stream_is_polled_once_a_revolution() {
-    let (sensor, _) = refused().await;
+async fn a_refused_stream_is_asked_for_once_a_revolution() {
+    let (sensor, _) = refused(Rate::UNLIMITED).await;
     let polls = sensor.stats().polls;
     // 200 revolutions.
     assert!((180..=210).contains(&polls), "{polls}");

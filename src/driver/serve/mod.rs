@@ -2,6 +2,7 @@
 
 mod polls;
 mod settings;
+mod streamed;
 
 use std::future::poll_fn;
 use std::task::Poll;
@@ -81,6 +82,8 @@ pub(crate) struct Service<'a> {
     pub(crate) ray_order: RayOrder,
     /// Number of times the sensor had been found again before this session.
     pub(crate) reconnects: u64,
+    /// Number of scans left out after each one, while scans come that are not polled.
+    pub(crate) streamed: Option<u8>,
     /// True if scans are polled, as the state reports it.
     pub(crate) streaming: bool,
     /// Wakes the driver for the next poll, probe or attempt.
@@ -90,6 +93,7 @@ pub(crate) struct Service<'a> {
 impl Service<'_> {
     /// Serves until there is a reason to stop.
     pub(crate) async fn run(&mut self, session: &mut Session) -> Stop {
+        self.schedules.end_stream();
         self.schedules.resolve(&self.geometry);
         self.schedules.resume(Instant::now());
         self.check_baud_rate(session.baud_rate());
@@ -118,6 +122,7 @@ impl Service<'_> {
             // A setting that is younger than the session comes before all polls.
             Box::pin(self.apply_laser(session)).await?;
         }
+        self.check_stream(session);
         let polling = !self.schedules.is_empty() && !self.laser.is_off();
         self.publish_streaming(polling);
         let due = self.schedules.next_due().filter(|_| polling);
@@ -134,6 +139,12 @@ impl Service<'_> {
                 },
                 Turn::Setting if self.has_setting() => {
                     Box::pin(self.apply_setting(session)).await?
+                }
+                Turn::Poll
+                    if session.is_streaming()
+                        && Box::pin(self.deliver_streamed(session)).await? =>
+                {
+                    true
                 }
                 Turn::Poll if poll_is_due => {
                     self.poll_due(session).await?;

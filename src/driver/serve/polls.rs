@@ -49,6 +49,9 @@ impl Service<'_> {
             return Ok(self.fail_unmeasured(poll)?);
         }
         let window = poll.window;
+        if session.has_streams() && Box::pin(self.begin_stream(session, poll)).await? {
+            return Ok(());
+        }
         // Earlier, the session would have to confirm the reply, which costs a revolution.
         if poll.rate.period().is_some()
             && let Some(copies_end) = session.copies_end(window)
@@ -66,6 +69,13 @@ impl Service<'_> {
             }
             Err(failure) => self.fail(poll, failure)?,
         };
+        self.end_poll(poll, ended, skipped);
+        Ok(())
+    }
+
+    /// Counts what the end of a poll changed.
+    #[inline(always)]
+    pub(super) fn end_poll(&mut self, poll: DuePoll, ended: Ended, skipped: u64) {
         if ended.falls_short {
             self.warn_of_shortfall(poll);
         }
@@ -76,11 +86,14 @@ impl Service<'_> {
             stats.missed = self.schedules.missed();
         }
         self.schedules.publish(&self.shared.counters);
-        Ok(())
     }
 
     #[cold]
-    fn fail(&mut self, poll: DuePoll, failure: ExchangeError) -> Result<Ended, LinkError> {
+    pub(super) fn fail(
+        &mut self,
+        poll: DuePoll,
+        failure: ExchangeError,
+    ) -> Result<Ended, LinkError> {
         let kind = command_error(failure)?;
         let mut again = Instant::now();
         // A refusal comes at once, and a window that the sensor lacks is not even sent.
@@ -153,7 +166,7 @@ impl Service<'_> {
     }
 
     /// Makes a scan of a reply, and learns from its arrival when the motor's revolutions end.
-    fn scan_from(&mut self, window: Window, acquired: Acquired) -> Scan {
+    pub(super) fn scan_from(&mut self, window: Window, acquired: Acquired) -> Scan {
         self.laser.record_scan(window);
         let Acquired { values, first, clock: sensor_clock, times } = acquired;
         let clock = self.motor_clock.as_mut().filter(|_| !times.is_replayed);

@@ -37,6 +37,7 @@ use self::scip1::{Scip1, UniqueRequests};
 use self::scip2::Scip2;
 use super::failure::{ExchangeError, LinkError};
 use super::observers::ReplyObservers;
+use super::schedule::StreamWish;
 use super::transport::{ReplyTimes, Transport};
 use crate::port::Port;
 use crate::protocol::scip2::Status;
@@ -55,6 +56,13 @@ pub(crate) struct Acquired {
     /// Time of the sensor's clock in milliseconds when it measured them, if it has told.
     pub(crate) clock: Option<u32>,
     pub(crate) times: ReplyTimes,
+}
+
+/// Scan of a stream, with all points that the sensor sent.
+#[derive(Debug)]
+pub(crate) struct Streamed {
+    window: Window,
+    acquired: Acquired,
 }
 
 /// Identity of a sensor.
@@ -142,12 +150,66 @@ impl Session {
     /// Returns true if the next command has to be preceded by a [`probe`](Self::probe), as far as
     /// known without reading.
     pub(crate) fn needs_probe(&self) -> bool {
-        !self.scip1.line.is_settled || !self.scip1.line.transport.pending().is_empty()
+        (!self.scip1.line.is_settled || !self.scip1.line.transport.pending().is_empty())
+            && !self.is_streaming()
     }
 
-    /// Waits for unsolicited bytes. The session [needs a probe](Self::needs_probe) then.
+    /// Waits for bytes that no command asks for. A scan of a stream can be
+    /// [taken](Self::take_streamed) then; otherwise the session [needs a probe](Self::needs_probe).
     pub(crate) fn poll_unasked(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), LinkError>> {
+        if self.is_streaming()
+            && let Some(mut scip2) = self.scip2()
+        {
+            return scip2.poll_streamed(cx);
+        }
         self.scip1.line.transport.poll_idle(cx)
+    }
+
+    /// Returns true if the protocol has streams: scans that the sensor sends without being asked again.
+    pub(crate) fn has_streams(&self) -> bool {
+        self.scip2.is_some()
+    }
+
+    /// Returns true if the line carries the scans of this stream.
+    pub(crate) fn can_stream(&mut self, wish: StreamWish, revolution: Duration) -> bool {
+        let time = revolution * (u32::from(wish.skipped) + 1);
+        self.scip2().is_some_and(|scip2| scip2.wire_time(wish.window) <= time)
+    }
+
+    /// Returns true while the sensor does, or something that it sent is not yet taken.
+    pub(crate) fn is_streaming(&self) -> bool {
+        self.scip2.as_ref().is_some_and(scip2::State::has_streamed)
+    }
+
+    /// Starts a stream that holds the window, unless one runs. Where a protocol has none, does
+    /// nothing.
+    pub(crate) async fn stream(&mut self, wish: StreamWish) -> Result<(), ExchangeError> {
+        match self.scip2() {
+            Some(mut scip2) => scip2.stream(wish).await,
+            None => Ok(()),
+        }
+    }
+
+    /// Takes the next scan of the stream, or an error in its place.
+    pub(crate) fn take_streamed(&mut self) -> Option<Result<Streamed, ErrorKind>> {
+        self.scip2.as_mut()?.take_waiting()
+    }
+
+    /// Ends the stream, if the sensor answers at once, because the driver ends.
+    pub(crate) async fn stop_stream(&mut self) {
+        if self.is_streaming()
+            && let Some(mut scip2) = self.scip2()
+        {
+            let _ = scip2.stop().await;
+        }
+    }
+
+    /// Ends the stream. The laser stays on.
+    pub(crate) async fn end_stream(&mut self) -> Result<(), ExchangeError> {
+        match self.scip2() {
+            Some(mut scip2) => scip2.end_stream().await,
+            None => Ok(()),
+        }
     }
 
     /// When the sensor was last heard.

@@ -198,6 +198,37 @@ impl Transport {
         Ok(self.end_frame(frame))
     }
 
+    /// Expects a frame without a command, within this time from now on.
+    pub(crate) fn expect_unasked(&mut self, expected: &Expected, within: Duration) {
+        self.requested = Instant::now();
+        self.expect(expected, self.requested + within);
+        self.frames = 1;
+        self.pauses.begin_reply();
+        (self.beginning, self.paused_until) = (None, None);
+        if !self.input.is_empty() {
+            // Its first bytes came with the last ones of the frame before.
+            self.begin_reply();
+        }
+    }
+
+    /// Expects another frame, in place of one that was not expected.
+    pub(crate) fn expect_another(&mut self) -> Result<(), LinkError> {
+        self.begin_frame()
+    }
+
+    /// Receives the frame that [`expect_unasked`](Self::expect_unasked) expects.
+    ///
+    /// # Errors
+    ///
+    /// [`NoFrame::Late`] at the deadline.
+    pub(crate) fn poll_unasked_frame(
+        &mut self,
+        cx: &mut Context<'_>,
+    ) -> Poll<Result<ReceivedFrame<'_>, NoFrame>> {
+        let frame = ready!(promptly(cx, |cx| self.poll_frame(cx)))?;
+        Poll::Ready(Ok(self.end_frame(frame)))
+    }
+
     /// Call it after `consume_budget`. The calls on the port take none: if its replies are ready at
     /// once, the driver would never let other tasks run.
     fn begin_exchange(&mut self, command: &[u8], expected: &Expected, within: Duration) {

@@ -1,5 +1,5 @@
-//! One request and its reply: sends it, drops the frames that answer other requests, and judges the
-//! one that answers it.
+//! One request and its reply: sends it, judges the frame that answers it, and drops the others but for
+//! scans of the stream.
 
 use std::time::Duration;
 
@@ -8,11 +8,11 @@ use super::super::super::transport::{Expected, NoFrame, ReplyTimes};
 use super::super::errors::{no_reply, refused};
 use super::errors::bad_reply;
 use super::{LIMITS, Scip2};
-use crate::RawReply;
 use crate::codec::FoundFrame;
 use crate::protocol::scip2::{Command, Content, Reply, ReplyError, Request, Status};
 use crate::protocol::{Protocol, Text};
 use crate::state::Shared;
+use crate::{ErrorKind, RawReply};
 
 /// Length of the longest replies without scans: `VV`, `PP` and `II`.
 const TEXT_LEN: usize = 512;
@@ -28,46 +28,65 @@ pub(super) struct Answer {
 }
 
 impl Scip2<'_> {
-    /// Sends `command` and returns its reply, whatever its status. A damaged reply fails: waiting for
-    /// a better one would cost the whole deadline.
+    /// Sends `command` and returns its reply, whatever its status. Ends the stream first: what a
+    /// command does to one depends on the model.
     pub(super) async fn exchange(
         &mut self,
         command: Command,
         latency: Duration,
     ) -> Result<Answer, ExchangeError> {
+        if self.state.is_streaming() && command != Command::LaserOff {
+            self.end_stream().await?;
+        }
         let request = Request::new(command, self.state.labels.next_label());
-        let within = self.time_limit(&request, latency);
+        self.ask(&request, latency).await
+    }
+
+    /// Sends `request` and returns its reply. A damaged reply fails: waiting for a better one would
+    /// cost the whole deadline.
+    pub(super) async fn ask(
+        &mut self,
+        request: &Request,
+        latency: Duration,
+    ) -> Result<Answer, ExchangeError> {
+        let within = self.time_limit(request, latency);
         let expected = Expected { reply: None, limits: &LIMITS };
         self.line.is_settled = false;
-        self.state.has_stray_frames |= self.line.discard_pending().await? > 0;
+        if !self.state.is_streaming() {
+            self.state.has_stray_frames |= self.line.discard_pending().await? > 0;
+        }
         let sent = self.line.transport.send(request.bytes(), &expected, within).await;
-        sent.map_err(|failure| record_silence(&self.line.shared, &request, failure))?;
+        sent.map_err(|failure| record_silence(&self.line.shared, request, failure))?;
         loop {
             let received = match self.line.transport.next_frame().await {
                 Ok(received) => received,
                 Err(failure) => {
-                    return Err(record_silence(&self.line.shared, &request, failure));
+                    return Err(record_silence(&self.line.shared, request, failure));
                 }
             };
             let (times, wire_len) = (received.times, received.wire_len());
             let mut outcome = Err(None);
+            let mut is_streamed = false;
             if let FoundFrame::Reply(bytes) = received.frame() {
-                let (received_at, stamp) = (times.received, times.stamp);
-                let protocol = Protocol::Scip2;
-                let reply = || RawReply { protocol, command: None, bytes, received_at, stamp };
-                self.line.observers.pass(reply);
-                if let Some(frame) = find_own(&request, bytes) {
-                    let parsed = Reply::parse(&request, frame).map_err(Some);
-                    let is_version = matches!(command, Command::Version);
+                self.line.observers.pass(|| raw_reply(bytes, &times));
+                if let Some(frame) = find_own(request, bytes) {
+                    let parsed = Reply::parse(request, frame).map_err(Some);
+                    let is_version = *request.command() == Command::Version;
                     let kept = if is_version { frame.to_vec() } else { Vec::new() };
                     outcome = parsed.map(|reply| (reply, kept, frame.len()));
+                } else {
+                    is_streamed = self.state.take_streamed(bytes, &times, &self.line.shared);
                 }
             }
             drop(received);
             match outcome {
                 Ok((Reply { status, content }, frame, length)) => {
                     self.line.is_settled = true;
-                    if status.is_ok_for(&command) {
+                    if *request.command() == Command::LaserOff {
+                        // Whatever it answers: it may be unable to stop now.
+                        self.state.stopped();
+                    }
+                    if status.is_ok_for(request.command()) {
                         let bytes = request.bytes().len() + 1 + length + 2;
                         if let Some(baud_rate) = self.line.believed_baud_rate() {
                             self.line.check_speed(baud_rate.wire_time(bytes), &times);
@@ -77,13 +96,19 @@ impl Scip2<'_> {
                     }
                     return Ok(Answer { status, content, frame, times });
                 }
-                Err(Some(error)) => return Err(self.record_malformed(&request, error, wire_len)),
-                Err(None) => {
-                    self.state.has_stray_frames = true;
-                    self.line.shared.counters.stats().bytes_skipped += wire_len;
+                Err(Some(error)) => {
+                    return Err(record_malformed(&self.line.shared, request, error, wire_len));
                 }
+                Err(None) if is_streamed => {}
+                Err(None) => self.record_stray(wire_len),
             }
         }
+    }
+
+    /// Counts a frame that answers nothing of this session.
+    pub(super) fn record_stray(&mut self, wire_len: u64) {
+        self.state.has_stray_frames = true;
+        self.line.shared.counters.stats().bytes_skipped += wire_len;
     }
 
     /// How long the sensor may take to begin its answer.
@@ -98,29 +123,34 @@ impl Scip2<'_> {
     /// How long an exchange may take: `latency`, and the time of its bytes on the wire.
     pub(super) fn time_limit(&self, request: &Request, latency: Duration) -> Duration {
         let bytes = request.bytes().len() + 1 + request.reply_len().unwrap_or(TEXT_LEN);
+        let bytes = bytes + self.state.bytes_on_the_way();
         let wire_time = self.line.believed_baud_rate().map(|baud_rate| baud_rate.wire_time(bytes));
         wire_time.unwrap_or_default() + latency
-    }
-
-    #[cold]
-    fn record_malformed(
-        &self,
-        request: &Request,
-        error: ReplyError,
-        wire_len: u64,
-    ) -> ExchangeError {
-        let mut stats = self.line.shared.counters.stats();
-        stats.malformed.count_scip2(&error);
-        stats.bytes_skipped += wire_len;
-        drop(stats);
-        let error = bad_reply(request, error);
-        tracing::trace!(%error, "no answer");
-        ExchangeError::Command(error)
     }
 }
 
 #[cold]
-fn record_silence(shared: &Shared, request: &Request, failure: NoFrame) -> ExchangeError {
+pub(super) fn record_malformed(
+    shared: &Shared,
+    request: &Request,
+    error: ReplyError,
+    wire_len: u64,
+) -> ExchangeError {
+    let mut stats = shared.counters.stats();
+    stats.malformed.count_scip2(&error);
+    stats.bytes_skipped += wire_len;
+    drop(stats);
+    let error = bad_reply(request, error);
+    tracing::trace!(%error, "no answer");
+    ExchangeError::Command(error)
+}
+
+#[cold]
+pub(super) fn record_silence(
+    shared: &Shared,
+    request: &Request,
+    failure: NoFrame,
+) -> ExchangeError {
     let failure = no_reply(request, failure);
     if let ExchangeError::Command(error) = &failure {
         shared.counters.stats().timeouts += 1;
@@ -129,9 +159,14 @@ fn record_silence(shared: &Shared, request: &Request, failure: NoFrame) -> Excha
     failure
 }
 
+pub(super) fn raw_reply<'a>(bytes: &'a [u8], times: &ReplyTimes) -> RawReply<'a> {
+    let ReplyTimes { received: received_at, stamp, .. } = *times;
+    RawReply { protocol: Protocol::Scip2, command: None, bytes, received_at, stamp }
+}
+
 /// Finds the reply to `request` in a frame. A reply that was cut short has no terminator, so the next
 /// one follows it in the same frame.
-fn find_own<'a>(request: &Request, frame: &'a [u8]) -> Option<&'a [u8]> {
+pub(super) fn find_own<'a>(request: &Request, frame: &'a [u8]) -> Option<&'a [u8]> {
     let echo = request.bytes();
     if frame.starts_with(echo) {
         return Some(frame);
@@ -145,10 +180,14 @@ pub(super) fn accepted(command: &Command, answer: Answer) -> Result<Answer, Exch
     if answer.status.is_ok_for(command) {
         return Ok(answer);
     }
-    let (request, status) = (Request::new(*command, None), answer.status);
-    let error = refused(&request, text(status), status.meaning(command));
+    Err(ExchangeError::Command(refusal(command, answer.status)))
+}
+
+/// Error of a command that the sensor refused.
+pub(super) fn refusal(command: &Command, status: Status) -> ErrorKind {
+    let error = refused(&Request::new(*command, None), text(status), status.meaning(command));
     tracing::trace!(%error, "no answer");
-    Err(ExchangeError::Command(error))
+    error
 }
 
 pub(super) fn text(status: Status) -> Text {

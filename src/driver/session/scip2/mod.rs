@@ -1,27 +1,32 @@
 //! SCIP 2: each request has a label of its own, which its reply echoes. So a frame with another label
 //! is older, and is dropped. No fence is needed.
 //!
-//! The driver asks for the newest scan each time (`GD`). `exchange` sends one request and waits for
-//! its reply.
+//! The driver asks for the newest scan each time (`GD`), or once for every scan (`MD`, in `stream`).
+//! `exchange` sends one request and waits for its reply.
 
 mod errors;
 mod exchange;
+mod stream;
 
 use std::time::Duration;
 
+use tokio::time::Instant;
+
 use self::exchange::{Answer, accepted, text};
+use self::stream::{Running, Waiting};
 use super::super::failure::{ExchangeError, LinkError};
-use super::super::transport::{Expected, Limits};
+use super::super::transport::{Expected, Limits, ReplyTimes};
 use super::Acquired;
 use super::errors::{malformed, no_reply, not_confirmed, on_behalf_of};
 use super::line::Line;
 use crate::codec::FoundFrame;
 use crate::protocol::scip2::{
-    Command, Content, Data, Labels, Parameters, Request, Stamp, Status, Steps,
+    Command, Content, Data, Labels, Parameters, Request, Scan, Stamp, Status, Steps,
 };
 use crate::protocol::{MalformedError, Protocol, Text};
+use crate::scan::Values;
 use crate::state::VersionReply;
-use crate::{BaudRate, Error, ErrorKind, Window};
+use crate::{BaudRate, Error, ErrorKind, Geometry, Window};
 
 /// Longest reply: `ME` of 1,081 steps has 6,717 bytes. Another program may have left a stream of
 /// these, 40 a second.
@@ -44,6 +49,15 @@ pub(super) struct State {
     has_stray_frames: bool,
     /// Smallest selection that the sensor measures.
     one_step: Option<Steps>,
+    geometry: Geometry,
+    /// What to ask for.
+    data: Data,
+    /// Stream that the sensor sends.
+    running: Option<Running>,
+    /// What the stream has sent, and the driver has not yet delivered.
+    waiting: Waiting,
+    /// Sensor's clock of the stream's latest scan, and when it came.
+    latest: Option<(Stamp, Instant)>,
 }
 
 impl State {
@@ -53,6 +67,11 @@ impl State {
             labels: Labels::starting_at(fastrand::u64(..)),
             has_stray_frames: false,
             one_step: None,
+            geometry: Geometry::URG_04LX,
+            data: Data::Distances,
+            running: None,
+            waiting: Waiting::new(),
+            latest: None,
         }
     }
 }
@@ -61,6 +80,26 @@ impl State {
 pub(super) struct Scip2<'a> {
     pub(super) line: &'a mut Line,
     pub(super) state: &'a mut State,
+}
+
+/// Converts a window of the sensor's own steps.
+fn steps(window: Window) -> Result<Steps, ExchangeError> {
+    let steps = Steps::new(window.start()..=window.end());
+    let steps = steps.and_then(|steps| steps.with_cluster_count(window.cluster_count()));
+    steps.map_err(|error| ExchangeError::Command(Error::other(error).into_kind()))
+}
+
+/// Converts a scan as the sensor sent it.
+fn acquired(scan: Scan, times: ReplyTimes) -> Acquired {
+    let clock = match scan.stamp() {
+        Stamp::Milliseconds(time) => Some(time),
+        Stamp::Microseconds(_) => None,
+    };
+    let has_intensities = !scan.intensities().is_empty();
+    let values = scan.into_values();
+    let values =
+        if has_intensities { Values::WithIntensities(values) } else { Values::Long(values) };
+    Acquired { values, first: 0, clock, times }
 }
 
 /// Creates a request to change the baud rate, without a label.
@@ -114,13 +153,9 @@ impl Scip2<'_> {
     pub(super) async fn stop(&mut self) -> Result<(), ExchangeError> {
         let mut failure = None;
         for _ in 0..PROBES_AT_A_BAUD_RATE {
-            let latency = self.latency(&Command::LaserOff);
-            match self.exchange(Command::LaserOff, latency).await {
-                // Whatever it answers: it may be unable to stop now.
-                Ok(_) => {
-                    self.state.has_stray_frames = false;
-                    return Ok(());
-                }
+            let request = Request::new(Command::LaserOff, self.state.labels.next_label());
+            match self.ask(&request, self.latency(&Command::LaserOff)).await {
+                Ok(_) => return Ok(()),
                 Err(ExchangeError::Command(error)) => failure = Some(error),
                 Err(lost) => return Err(lost),
             }
@@ -154,6 +189,7 @@ impl Scip2<'_> {
         };
         let first = *told.steps.start();
         self.state.one_step = Steps::new(first..=first).ok();
+        self.state.geometry = told.geometry();
         Ok(told)
     }
 
@@ -186,26 +222,21 @@ impl Scip2<'_> {
         }
     }
 
-    /// Asks for the newest scan.
+    /// Asks for the newest scan, or takes the next one of the stream.
     pub(super) async fn acquire(&mut self, window: Window) -> Result<Acquired, ExchangeError> {
+        self.line.shared.counters.count_poll();
+        if self.state.is_streaming() {
+            return self.acquire_streamed(window).await;
+        }
         if self.state.has_stray_frames {
             self.stop().await?;
         }
-        self.line.shared.counters.count_poll();
-        let steps = Steps::new(window.start()..=window.end());
-        let steps = steps.and_then(|steps| steps.with_cluster_count(window.cluster_count()));
-        let steps = steps.map_err(|error| Error::other(error).into_kind());
-        let steps = steps.map_err(ExchangeError::Command)?;
-        let command = Command::Latest { data: Data::Distances, steps };
+        let command = Command::Latest { data: self.state.data, steps: steps(window)? };
         let answer = accepted(&command, self.exchange(command, self.latency(&command)).await?)?;
-        let Answer { content: Content::Scan(scan), times, .. } = answer else {
-            return Err(self.no_data(command));
-        };
-        let clock = match scan.stamp() {
-            Stamp::Milliseconds(time) => Some(time),
-            Stamp::Microseconds(_) => None,
-        };
-        Ok(Acquired { values: scan.into_values().into(), first: 0, clock, times })
+        match answer.content {
+            Content::Scan(scan) => Ok(acquired(scan, answer.times)),
+            _ => Err(self.no_data(command)),
+        }
     }
 
     /// Switches the laser, and checks by a probe whether the sensor measures.

@@ -1,0 +1,295 @@
+//! Scans that the sensor sends by itself (`MD`), so that none is lost between two requests.
+//!
+//! While a stream runs, no request goes beside it: what one does to the stream depends on the model.
+//! Every scan that is wanted is cut from the stream, whose window grows to hold it.
+
+use std::collections::VecDeque;
+use std::future::poll_fn;
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+
+use super::super::super::failure::{ExchangeError, LinkError};
+use super::super::super::schedule::StreamWish;
+use super::super::super::transport::{Expected, ReplyTimes};
+use super::super::{Acquired, Streamed};
+use super::exchange::{accepted, find_own, raw_reply, record_malformed, record_silence, refusal};
+use super::{LIMITS, Scip2, State, acquired, steps};
+use crate::codec::FoundFrame;
+use crate::protocol::scip2::{
+    Command, Content, Reply, ReplyError, Request, Scan, Stamp, Status, Stream,
+};
+use crate::state::Shared;
+use crate::{Error, ErrorKind, Geometry, Window};
+
+/// Range of the sensor's clock in milliseconds: 24 bits.
+const CLOCK: u32 = 1 << 24;
+/// Longest gap between two scans that counts as lost scans. After a longer one the clock has more
+/// likely jumped.
+const LONGEST_GAP: Duration = Duration::from_secs(10);
+
+/// Scans that were asked for once, and come until the sensor is told to stop.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Running {
+    request: Request,
+    window: Window,
+    skipped: u8,
+}
+
+/// What a stream has sent, and the driver has not yet delivered: scans and errors.
+pub(super) type Waiting = VecDeque<Result<Streamed, ErrorKind>>;
+
+impl Scip2<'_> {
+    /// Time that a scan of a stream occupies the line.
+    pub(in super::super) fn wire_time(&self, window: Window) -> Duration {
+        let baud_rate = self.line.believed_baud_rate();
+        let reply_len = || {
+            let command = Command::Stream(Stream::new(self.state.data, steps(window).ok()?));
+            Request::new(command, None).reply_len()
+        };
+        baud_rate.zip(reply_len()).map_or(Duration::ZERO, |(rate, bytes)| rate.wire_time(bytes))
+    }
+
+    /// Starts a stream that holds the window, unless such a one runs.
+    pub(in super::super) async fn stream(&mut self, wish: StreamWish) -> Result<(), ExchangeError> {
+        let StreamWish { mut window, skipped } = wish;
+        if let Some(running) = &self.state.running {
+            if running.window.holds(&window) && running.skipped == skipped {
+                return Ok(());
+            }
+            window = running.window.hull(&window);
+        }
+        if self.state.is_streaming() || self.state.has_stray_frames {
+            let latest = self.state.latest;
+            self.stop().await?;
+            self.state.latest = latest;
+        }
+        let stream = Stream::new(self.state.data, steps(window)?).skipping(skipped);
+        let stream = stream.map_err(|error| Error::other(error).into_kind());
+        let command = Command::Stream(stream.map_err(ExchangeError::Command)?);
+        let request = Request::new(command, self.state.labels.next_label());
+        let answer = self.ask(&request, self.latency(&command)).await?;
+        let answer = accepted(&command, answer)?;
+        let running = Running { request, window, skipped };
+        self.state.running = Some(running);
+        // The first answer may be lost, and a scan come in its place.
+        if let Content::Scan(scan) = answer.content {
+            self.state.add_scan(running, scan, answer.times, &self.line.shared);
+        }
+        self.expect_scan();
+        Ok(())
+    }
+
+    /// Ends the stream, if one runs. The laser stays on.
+    pub(in super::super) async fn end_stream(&mut self) -> Result<(), ExchangeError> {
+        self.stop().await?;
+        let request = Request::new(Command::LaserOn, self.state.labels.next_label());
+        match self.ask(&request, self.latency(request.command())).await {
+            // The next request shows whether the laser is on.
+            Ok(_) | Err(ExchangeError::Command(_)) => Ok(()),
+            Err(lost) => Err(lost),
+        }
+    }
+
+    /// Waits for the next scan of the stream, and returns its part in `window`. It stays
+    /// [waiting](State::waiting) as a whole, too.
+    pub(super) async fn acquire_streamed(
+        &mut self,
+        window: Window,
+    ) -> Result<Acquired, ExchangeError> {
+        let skipped = self.state.running.as_ref().map_or(0, |running| running.skipped);
+        self.stream(StreamWish { window, skipped }).await?;
+        loop {
+            poll_fn(|cx| self.poll_frame(cx)).await?;
+            match self.state.waiting.back() {
+                Some(Err(error)) => return Err(ExchangeError::Command(error.clone())),
+                // A scan that had been sent before the stream was started anew may lack the window.
+                Some(Ok(scan)) => {
+                    if let Some(acquired) = scan.cut(window, &self.state.geometry) {
+                        return Ok(acquired);
+                    }
+                }
+                None => {}
+            }
+        }
+    }
+
+    /// Waits until a scan or an error of the stream is [waiting](State::waiting).
+    pub(in super::super) fn poll_streamed(
+        &mut self,
+        cx: &mut Context<'_>,
+    ) -> Poll<Result<(), LinkError>> {
+        while self.state.waiting.is_empty() {
+            ready!(self.poll_frame(cx))?;
+        }
+        Poll::Ready(Ok(()))
+    }
+
+    /// Receives a scan of the stream, or an error that ends it, and lets it wait.
+    fn poll_frame(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), LinkError>> {
+        let before = self.state.waiting.len();
+        while let Some(running) = &self.state.running
+            && self.state.waiting.len() == before
+        {
+            let request = running.request;
+            let received = match ready!(self.line.transport.poll_unasked_frame(cx)) {
+                Ok(received) => received,
+                Err(failure) => {
+                    match record_silence(&self.line.shared, &request, failure) {
+                        ExchangeError::Link(failure) => return Poll::Ready(Err(failure)),
+                        ExchangeError::Command(error) => self.state.break_off(error),
+                    }
+                    self.line.is_settled = false;
+                    return Poll::Ready(Ok(()));
+                }
+            };
+            let (times, wire_len) = (received.times, received.wire_len());
+            let mut is_own = false;
+            if let FoundFrame::Reply(bytes) = received.frame() {
+                self.line.observers.pass(|| raw_reply(bytes, &times));
+                is_own = self.state.take_streamed(bytes, &times, &self.line.shared);
+            }
+            drop(received);
+            if is_own {
+                self.expect_scan();
+            } else {
+                self.record_stray(wire_len);
+                self.line.transport.expect_another()?;
+            }
+        }
+        Poll::Ready(Ok(()))
+    }
+
+    /// Expects the next scan of the stream within the time that a command has.
+    fn expect_scan(&mut self) {
+        let Some(running) = &self.state.running else { return };
+        let revolutions = u32::from(running.skipped) + 1;
+        let latency = self.latency(running.request.command());
+        let latency = latency + revolutions * self.state.geometry.revolution();
+        let within: Duration = self.time_limit(&running.request, latency);
+        let expected = Expected { reply: None, limits: &LIMITS };
+        self.line.transport.expect_unasked(&expected, within);
+    }
+}
+
+impl State {
+    pub(super) fn is_streaming(&self) -> bool {
+        self.running.is_some()
+    }
+
+    /// Returns true if a stream runs, or if something of it is waiting.
+    pub(in super::super) fn has_streamed(&self) -> bool {
+        self.is_streaming() || !self.waiting.is_empty()
+    }
+
+    pub(in super::super) fn take_waiting(&mut self) -> Option<Result<Streamed, ErrorKind>> {
+        self.waiting.pop_front()
+    }
+
+    /// Number of bytes that the sensor may send before it answers.
+    pub(super) fn bytes_on_the_way(&self) -> usize {
+        let scan = self.running.as_ref().and_then(|running| running.request.reply_len());
+        2 * scan.unwrap_or(0)
+    }
+
+    /// Records that the sensor has been told to send nothing more.
+    pub(super) fn stopped(&mut self) {
+        (self.running, self.has_stray_frames, self.latest) = (None, false, None);
+    }
+
+    /// Lets a scan of the stream wait. Returns false if the frame is none.
+    pub(super) fn take_streamed(
+        &mut self,
+        frame: &[u8],
+        times: &ReplyTimes,
+        shared: &Shared,
+    ) -> bool {
+        let Some(running) = self.running else { return false };
+        let request = running.request;
+        let Some(frame) = find_own(&request, frame) else { return false };
+        match Reply::parse(&request, frame) {
+            Ok(Reply { content: Content::Scan(scan), .. }) => {
+                self.add_scan(running, scan, *times, shared);
+            }
+            // The answer to the command, once more.
+            Ok(Reply { status, .. }) if status.is_ok() => {}
+            Ok(Reply { status, .. }) => {
+                shared.counters.stats().refused += 1;
+                let error = refusal(request.command(), status);
+                if is_pause(status) {
+                    self.waiting.push_back(Err(error));
+                } else {
+                    self.break_off(error);
+                }
+            }
+            Err(error) => self.add_malformed(&request, error, frame.len(), shared),
+        }
+        true
+    }
+
+    /// Lets a scan wait, unless it is the latest one once more.
+    fn add_scan(&mut self, running: Running, scan: Scan, times: ReplyTimes, shared: &Shared) {
+        let latest = self.latest.replace((scan.stamp(), times.received));
+        if let Some((stamp, received)) = latest {
+            let revolution = self.geometry.revolution();
+            if stamp == scan.stamp() && times.received - received < revolution / 2 {
+                tracing::trace!("the line has delivered a scan twice");
+                return;
+            }
+            let period = revolution * (u32::from(running.skipped) + 1);
+            shared.counters.stats().lost += lost(stamp, scan.stamp(), period);
+        }
+        let Running { window, .. } = running;
+        self.waiting.push_back(Ok(Streamed { window, acquired: acquired(scan, times) }));
+    }
+
+    fn add_malformed(&mut self, request: &Request, error: ReplyError, len: usize, shared: &Shared) {
+        // The two LFs at its end do not count for the frame.
+        let error = record_malformed(shared, request, error, len as u64 + 2);
+        self.waiting.push_back(Err(error.kind().clone()));
+    }
+
+    /// Gives the stream up. The sensor may still send it.
+    fn break_off(&mut self, error: ErrorKind) {
+        (self.running, self.has_stray_frames) = (None, true);
+        self.waiting.push_back(Err(error));
+    }
+}
+
+/// Returns true if the sensor goes on with the stream after this status: while it checks an error,
+/// and when it has found none (p. 11).
+fn is_pause(status: Status) -> bool {
+    matches!(status.characters(), [b'2'..=b'4', _] | [b'9', b'8'])
+}
+
+/// Number of scans of a stream between two others, by the sensor's clock.
+fn lost(latest: Stamp, now: Stamp, period: Duration) -> u64 {
+    let since = match (latest, now) {
+        (Stamp::Milliseconds(latest), Stamp::Milliseconds(now)) => {
+            Duration::from_millis((now.wrapping_sub(latest) % CLOCK).into())
+        }
+        (latest, now) => now.since_zero().saturating_sub(latest.since_zero()),
+    };
+    let periods = (since + period / 2).as_nanos() / period.as_nanos().max(1);
+    // After a jump of the clock there may be any number.
+    if since < LONGEST_GAP { (periods as u64).saturating_sub(1) } else { 0 }
+}
+
+impl Streamed {
+    /// Part of the scan in `window`, if it holds that.
+    pub(crate) fn cut(&self, window: Window, geometry: &Geometry) -> Option<Acquired> {
+        if !self.window.holds(&window) {
+            return None;
+        }
+        let Acquired { values, clock, times, .. } = &self.acquired;
+        let first = usize::from(window.start() - self.window.start());
+        let clusters = usize::from(window.cluster_count());
+        let (values, first) = if window == self.window {
+            (values.clone(), 0)
+        } else if clusters == 1 {
+            (values.clone(), first)
+        } else {
+            (values.clustered(first, window.steps(), clusters, geometry), 0)
+        };
+        Some(Acquired { values, first, clock: *clock, times: *times })
+    }
+}

@@ -1,0 +1,199 @@
+//! Scans that a sensor of SCIP 2 sends on its own (`MD`): shared by all windows and rates, and ended
+//! when nobody wants them.
+
+use std::time::Duration;
+
+use futures::FutureExt;
+use tokio::time::{Instant, sleep};
+use tokio_scip::{Rate, Scan, ScanStream, Window};
+use urg_emulator::{Emulator, Fault, Faults, Model, Values, WorldTime};
+
+use super::{next, numbered, revolution};
+use crate::common::builder;
+
+/// Commands that begin with `head`, since the emulator was built.
+fn count(emulator: &Emulator, head: &str) -> usize {
+    emulator.log().iter().filter(|line| line.line.starts_with(head.as_bytes())).count()
+}
+
+/// Reads `count` scans, and returns the numbers of their revolutions.
+async fn revolutions(stream: &mut ScanStream, count: usize) -> Vec<u32> {
+    let mut all = Vec::new();
+    for _ in 0..count {
+        all.push(revolution(&next(stream).await));
+    }
+    all
+}
+
+fn are_consecutive(revolutions: &[u32]) -> bool {
+    revolutions.windows(2).all(|pair| pair[1] == pair[0] + 1)
+}
+
+#[tokio::test(start_paused = true)]
+async fn all_windows_and_rates_share_one_stream() {
+    let emulator = numbered(Model::Ust10lx).build();
+    let sensor = builder().depth(512).connect(emulator.clone()).await.unwrap();
+    let window = |from, to| Window::degrees(from..=to).unwrap();
+    let mut left = sensor.scans(window(10.0, 90.0), Rate::UNLIMITED).await.unwrap();
+    let mut right = sensor.scans(window(-90.0, -10.0), Rate::UNLIMITED).await.unwrap();
+    let mut slow = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut slowest = sensor.scans(Window::DETECTION, Rate::hz(0.5)).await.unwrap();
+    sleep(Duration::from_secs(1)).await;
+    let (streams, stopped) = (count(&emulator, "MD"), count(&emulator, "QT"));
+    for stream in [&mut left, &mut right, &mut slow] {
+        while stream.next().now_or_never().is_some() {}
+    }
+    sleep(Duration::from_secs(10)).await;
+    let (left, right) = (revolutions(&mut left, 400).await, revolutions(&mut right, 400).await);
+    assert_eq!(left, right);
+    assert!(are_consecutive(&left), "{left:?}");
+    // Ten a second, the newest each time.
+    let slow = revolutions(&mut slow, 99).await;
+    assert!(slow.windows(2).all(|pair| pair[1] == pair[0] + 4), "{slow:?}");
+    assert_eq!(revolutions(&mut slowest, 5).await.len(), 5);
+    assert_eq!((count(&emulator, "MD"), count(&emulator, "QT")), (streams, stopped));
+    assert_eq!((count(&emulator, "GD"), sensor.stats().lost), (0, 0));
+}
+
+#[tokio::test(start_paused = true)]
+async fn single_scans_and_settings_go_beside_a_stream() {
+    let emulator = numbered(Model::Ust10lx).build();
+    let sensor = builder().depth(512).connect(emulator.clone()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+    next(&mut stream).await;
+    let mut singles = Vec::new();
+    for _ in 0..20 {
+        let asked = Instant::now();
+        singles.push(sensor.scan(Window::new(100..=200).unwrap()).await.unwrap());
+        assert!(asked.elapsed() <= Duration::from_millis(27), "{:?}", asked.elapsed());
+    }
+    let all = revolutions(&mut stream, 20).await;
+    assert_eq!(all, singles.iter().map(revolution).collect::<Vec<_>>());
+    // The laser's command ends the stream, which begins anew.
+    sensor.laser_off().await.unwrap();
+    assert!(!emulator.is_laser_on());
+    sensor.laser_on().await.unwrap();
+    let again = revolutions(&mut stream, 20).await;
+    assert!(are_consecutive(&again) && again[0] > all[19], "{again:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_window_outside_of_the_stream_widens_it() {
+    let emulator = numbered(Model::Ust10lx).build();
+    let sensor = builder().depth(512).connect(emulator.clone()).await.unwrap();
+    let mut front = sensor.scans(Window::new(500..=580).unwrap(), Rate::UNLIMITED).await.unwrap();
+    let before = revolutions(&mut front, 10).await;
+    let single = sensor.scan(Window::new(100..=109).unwrap()).await.unwrap();
+    assert_eq!(single.len(), 10);
+    let after = revolutions(&mut front, 10).await;
+    let lost = sensor.stats().lost;
+    // The sensor sends nothing between the two streams.
+    assert_eq!(u64::from(after[0] - before[9] - 1), lost);
+    assert!((1..=3).contains(&lost), "{lost}");
+    assert!(are_consecutive(&after), "{after:?}");
+    assert!(emulator.log().iter().any(|line| line.line.starts_with(b"MD0100058001000")));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_stream_ends_with_its_last_reader() {
+    for rate in [Rate::UNLIMITED, Rate::hz(10.0)] {
+        let emulator = numbered(Model::Utm30lx).build();
+        let sensor = builder().connect(emulator.clone()).await.unwrap();
+        let mut stream = sensor.scans(Window::DETECTION, rate).await.unwrap();
+        next(&mut stream).await;
+        let ended = count(&emulator, "QT");
+        drop(stream);
+        sleep(Duration::from_secs(1)).await;
+        assert_eq!(count(&emulator, "QT"), ended + 1, "{rate}");
+        // Like after a single scan.
+        assert!(emulator.is_laser_on(), "{rate}");
+        let bytes = sensor.stats().bytes_skipped;
+        sleep(Duration::from_secs(1)).await;
+        assert_eq!(sensor.stats().bytes_skipped, bytes, "{rate}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_fastest_rate_sets_how_many_scans_are_sent() {
+    let emulator = numbered(Model::Ust10lx).build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    let mut slow = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    next(&mut slow).await;
+    assert_eq!(count(&emulator, "MD0000108001300"), 1);
+    let mut fast = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+    assert!(are_consecutive(&revolutions(&mut fast, 40).await));
+    assert_eq!(count(&emulator, "MD0000108001000"), 1);
+    drop(fast);
+    while next(&mut slow).now_or_never().is_some() {}
+    for _ in 0..30 {
+        next(&mut slow).await;
+    }
+    assert_eq!(count(&emulator, "MD0000108001300"), 2);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_driver_that_ends_stops_its_stream() {
+    for is_closed in [true, false] {
+        let emulator = numbered(Model::Ust10lx).build();
+        let sensor = builder().connect(emulator.clone()).await.unwrap();
+        let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+        next(&mut stream).await;
+        let ended = count(&emulator, "QT");
+        if is_closed {
+            sensor.close().await;
+        } else {
+            drop((sensor, stream));
+            sleep(Duration::from_secs(1)).await;
+        }
+        assert_eq!(count(&emulator, "QT"), ended + 1);
+        assert!(!emulator.is_laser_on());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn lost_scans_are_counted() {
+    let emulator = numbered(Model::Ust10lx).build();
+    let sensor = builder().depth(2048).connect(emulator.clone()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+    let first = revolution(&next(&mut stream).await);
+    emulator.set_faults(Faults::none().rate(0.1, Fault::Damaged).rate(0.1, Fault::Lost).seed(1));
+    sleep(Duration::from_secs(20)).await;
+    emulator.set_faults(Faults::none());
+    sleep(Duration::from_secs(1)).await;
+    let mut all = vec![first];
+    while let Some(Some(item)) = stream.next().now_or_never() {
+        all.extend(item.ok().as_ref().map(revolution));
+    }
+    let gaps: u32 = all.windows(2).map(|pair| pair[1] - pair[0] - 1).sum();
+    assert!(gaps > 20, "{gaps}");
+    assert_eq!(sensor.stats().lost, gaps.into());
+}
+
+/// Scan of clusters, and the same from a sensor that sends nothing on its own.
+async fn clustered(model: Model, is_streaming: bool) -> Scan {
+    let emulator = Emulator::builder().model(model).world(|_: WorldTime, values: &mut Values| {
+        for (step, slot) in values.iter_mut().enumerate() {
+            // Some are no distance.
+            *slot = (step as u32 * 7919) % 3000;
+            if step % 5 == 0 {
+                *slot %= 3;
+            }
+        }
+    });
+    let sensor = builder().connect(emulator.build()).await.unwrap();
+    let mut stream = None;
+    if is_streaming {
+        let scans = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+        next(stream.insert(scans)).await;
+    }
+    sensor.scan(Window::new(101..=300).unwrap().with_cluster_count(7).unwrap()).await.unwrap()
+}
+
+#[tokio::test(start_paused = true)]
+async fn clusters_are_cut_from_a_stream_as_the_sensor_makes_them() {
+    for model in [Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx] {
+        let (own, asked) = (clustered(model, true).await, clustered(model, false).await);
+        assert_eq!(own.len(), 29);
+        assert!(own.raw_values().eq(asked.raw_values()), "{model:?} {own:?} {asked:?}");
+    }
+}
