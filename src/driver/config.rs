@@ -35,13 +35,21 @@ impl IdleProbe {
     }
 }
 
+/// How to speak to a sensor, and what to ask it for.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Wanted {
+    /// Protocol to speak, unless it is the sensor's choice.
+    pub(crate) protocol: Option<Protocol>,
+    /// True if scans should have intensities.
+    pub(crate) intensities: bool,
+}
+
 #[derive(Debug, Clone)]
 pub(crate) struct Config {
     /// Name of the sensor in logs and errors.
     pub(crate) name: Option<Arc<str>>,
     pub(crate) baud_rate: Option<BaudRate>,
-    /// Protocol to speak, unless it is the sensor's choice.
-    pub(crate) protocol: Option<Protocol>,
+    pub(crate) wanted: Wanted,
     pub(crate) open_timeout: Duration,
     pub(crate) request_timeout: Duration,
     pub(crate) wait_for_sensor: bool,
@@ -61,7 +69,7 @@ impl Default for Config {
         Self {
             name: None,
             baud_rate: None,
-            protocol: None,
+            wanted: Wanted::default(),
             open_timeout: Duration::from_secs(5),
             request_timeout: Duration::from_secs(5),
             wait_for_sensor: false,

@@ -136,7 +136,7 @@ impl Opener {
         let reply_latency = self.config.reply_latency;
         let observers = Arc::clone(&self.config.observers);
         let shared = Arc::clone(&self.shared);
-        let wanted = self.config.protocol;
+        let wanted = self.config.wanted;
         let mut session = Session::new(port, reply_latency, wanted, leftovers, observers, shared);
         match self.find(&mut session, laser, self.config.open_timeout).await {
             Ok(()) => Ok(session),

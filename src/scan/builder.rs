@@ -45,6 +45,7 @@ impl Scan {
 pub struct ScanBuilder {
     window: Window,
     values: Vec<u32>,
+    intensities: Vec<u32>,
     meta: ScanMeta,
 }
 
@@ -65,7 +66,13 @@ impl ScanBuilder {
             sensor_clock: None,
             reconnects: 0,
         };
-        Self { window, values, meta }
+        Self { window, values, intensities: Vec::new(), meta }
+    }
+
+    /// Sets [`Scan::intensities`]: one for each point, or none.
+    pub fn intensities(mut self, intensities: impl Into<Vec<u32>>) -> Self {
+        self.intensities = intensities.into();
+        self
     }
 
     /// Sets [`Scan::sequence`].
@@ -115,14 +122,15 @@ impl ScanBuilder {
     ///
     /// # Errors
     ///
-    /// [`ScanError`] if you did not pass one value for each point of the window, if a
-    /// value is above 4095 (for a sensor of SCIP 2 above 262143), or if the sensor does not measure
+    /// [`ScanError`] if you did not pass one value for each point of the window (and as many
+    /// intensities, if any), if a value is above 4095 (for a sensor of SCIP 2 above 262143), or if the sensor does not measure
     /// the window.
     pub fn build(self) -> Result<Scan, ScanError> {
-        let Self { window, values, meta } = self;
+        let Self { window, mut values, intensities, meta } = self;
         let window = window.resolve(&meta.geometry)?;
-        let (expected, found) = (window.points(), values.len());
-        if expected != found {
+        let expected = window.points();
+        let lengths = [Some(values.len()), Some(intensities.len()).filter(|count| *count > 0)];
+        if let Some(found) = lengths.into_iter().flatten().find(|found| *found != expected) {
             return Err(ScanError::Length { window, expected, found });
         }
         let is_short = meta.geometry.has_short_values();
@@ -130,7 +138,10 @@ impl ScanBuilder {
         if let Some((index, &found)) = values.iter().enumerate().find(|(_, value)| **value > max) {
             return Err(ScanError::Value { index, found, max });
         }
-        let values = if is_short {
+        let values = if !intensities.is_empty() {
+            values.extend(intensities);
+            Values::WithIntensities(values.into())
+        } else if is_short {
             // The casts are exact.
             Values::Short(values.into_iter().map(|value| value as u16).collect())
         } else {
@@ -188,6 +199,12 @@ mod tests {
         assert_eq!(error.to_string(), text);
         let mut values = [1000; 682];
         assert!(build(&values).is_ok());
+        let with = |intensities: &[u32]| {
+            Scan::builder(Window::DETECTION, values).intensities(intensities).build()
+        };
+        assert_eq!(with(&[]).unwrap().intensities(), None);
+        assert_eq!(with(&[7; 682]).unwrap().intensities(), Some(&[7; 682][..]));
+        assert!(matches!(with(&[7; 681]), Err(ScanError::Length { found: 681, .. })));
         (values[9], values[10]) = (4095, 4096);
         assert_eq!(
             build(&values).unwrap_err(),

@@ -18,7 +18,8 @@ impl Serialize for Scan {
         };
         let times = self.times();
         let lateness = times.lateness.map(|lateness| lateness.as_secs_f64());
-        let mut scan = serializer.serialize_struct("Scan", 15)?;
+        let mut scan =
+            serializer.serialize_struct("Scan", 15 + usize::from(self.intensities().is_some()))?;
         scan.serialize_field("sequence", &self.sequence())?;
         scan.serialize_field("stamp", &since_1970(times.stamp))?;
         scan.serialize_field("first_ray", &since_1970(self.first_ray_stamp()))?;
@@ -34,6 +35,10 @@ impl Serialize for Scan {
         scan.serialize_field("reconnects", &self.reconnects())?;
         scan.serialize_field("values", &self.values())?;
         scan.serialize_field("ranges", &ranges)?;
+        match self.intensities() {
+            Some(intensities) => scan.serialize_field("intensities", intensities)?,
+            None => scan.skip_field("intensities")?,
+        }
         scan.end()
     }
 }

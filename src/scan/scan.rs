@@ -26,8 +26,8 @@ use crate::protocol::{Geometry, Measurement, Window};
 /// With the feature `serde` a scan is written as `sequence`, `stamp` (seconds since 1970
 /// with microseconds), `first_ray` (likewise), `stamp_quality`, `lateness` (seconds, or
 /// null), `start`, `end`, `cluster`, `angle_min`, `angle_increment` (radians), `scan_time`
-/// (seconds), `repeat`, `reconnects`, the raw `values`, and `ranges` in metres, null where
-/// there is no distance.
+/// (seconds), `repeat`, `reconnects`, the raw `values`, `ranges` in metres, null where there is no
+/// distance, and `intensities` if there are any.
 #[derive(Clone)]
 pub struct Scan {
     pub(super) window: Window,
@@ -111,8 +111,8 @@ impl Scan {
     /// Strengths of the reflections, in the order of their steps, in the sensor's own unit: 18 bits.
     /// `None` unless you [asked for them](crate::SensorBuilder::intensities) and the sensor has
     /// them.
-    pub fn intensities(&self) -> Option<impl ExactSizeIterator<Item = u32> + Clone + '_> {
-        self.values.intensities(self.first, self.window.points()).map(|all| all.iter().copied())
+    pub fn intensities(&self) -> Option<&[u32]> {
+        self.values.intensities(self.first, self.window.points())
     }
 
     /// Values of the window, in the block that scans of other windows share.
@@ -193,7 +193,10 @@ impl PartialEq for Scan {
             let ScanMeta { scan_time, reconnects, .. } = scan.meta;
             (sequence, stamp, lateness, postponed, repeat, scan_time, reconnects)
         };
-        self.window == other.window && meta(self) == meta(other) && self.values() == other.values()
+        self.window == other.window
+            && meta(self) == meta(other)
+            && self.values() == other.values()
+            && self.intensities() == other.intensities()
     }
 }
 

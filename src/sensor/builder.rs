@@ -74,7 +74,14 @@ impl SensorBuilder {
     /// A sensor that does not speak this protocol is an
     /// [`ErrorKind::WrongProtocol`](crate::ErrorKind::WrongProtocol).
     pub fn protocol(mut self, protocol: Protocol) -> Self {
-        self.config.protocol = Some(protocol);
+        self.config.wanted.protocol = Some(protocol);
+        self
+    }
+
+    /// Sets whether scans have [intensities](crate::Scan::intensities), where the sensor has them: a
+    /// UTM or UST. They double the length of a reply. Default: `false`.
+    pub fn intensities(mut self, intensities: bool) -> Self {
+        self.config.wanted.intensities = intensities;
         self
     }
 

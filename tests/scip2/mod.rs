@@ -1,6 +1,7 @@
 //! Sensors of SCIP 2 through the same `Sensor`: found without being told, each scan right and once.
 
 mod histories;
+mod intensities;
 mod refusals;
 mod streams;
 

@@ -35,6 +35,7 @@ use self::errors::{not_confirmed, on_behalf_of};
 use self::line::Line;
 use self::scip1::{Scip1, UniqueRequests};
 use self::scip2::Scip2;
+use super::config::Wanted;
 use super::failure::{ExchangeError, LinkError};
 use super::observers::ReplyObservers;
 use super::schedule::StreamWish;
@@ -103,8 +104,7 @@ impl Leftovers {
 
 /// Open port, and the protocol that the sensor speaks.
 pub(crate) struct Session {
-    /// Protocol to speak, unless it is the sensor's choice.
-    wanted: Option<Protocol>,
+    wanted: Wanted,
     scip1: Scip1,
     /// `Some` while the sensor speaks SCIP 2.
     scip2: Option<scip2::State>,
@@ -114,7 +114,7 @@ impl Session {
     pub(crate) fn new(
         port: Box<dyn Port>,
         reply_latency: Option<Duration>,
-        wanted: Option<Protocol>,
+        wanted: Wanted,
         before: Leftovers,
         observers: Arc<ReplyObservers>,
         shared: Arc<Shared>,
@@ -296,10 +296,10 @@ impl Session {
 
     /// Begins with a sensor that has answered in SCIP 1.1.
     async fn begin_in_scip1(&mut self) -> Result<(), ExchangeError> {
-        if self.wanted != Some(Protocol::Scip2) {
+        if self.wanted.protocol != Some(Protocol::Scip2) {
             return Ok(());
         }
-        let state = self.scip2.insert(scip2::State::new());
+        let state = self.scip2.insert(scip2::State::new(self.wanted.intensities));
         let outcome = Scip2 { line: &mut self.scip1.line, state }.enter().await;
         if outcome.is_err() {
             self.scip2 = None;
@@ -309,10 +309,10 @@ impl Session {
 
     /// Begins with a sensor that has answered in SCIP 2, which `error` says.
     async fn begin_in_scip2(&mut self, error: ErrorKind) -> Result<(), ExchangeError> {
-        if self.wanted == Some(Protocol::Scip1) {
+        if self.wanted.protocol == Some(Protocol::Scip1) {
             return Err(LinkError::Silent(error).into());
         }
-        let state = self.scip2.insert(scip2::State::new());
+        let state = self.scip2.insert(scip2::State::new(self.wanted.intensities));
         Scip2 { line: &mut self.scip1.line, state }.stop().await
     }
 

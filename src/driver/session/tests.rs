@@ -1,5 +1,6 @@
 use tokio::time::advance;
 
+use super::super::config::Wanted;
 use super::super::transport::scripted_port::ScriptedPort;
 use super::scip1::{COPY_TIME, EchoKind, LIMITS};
 use super::*;
@@ -12,7 +13,14 @@ fn session(input: &[u8]) -> Session {
     let (reads, baud_rate) = ([Ok(input.to_vec())].into(), Some(BaudRate::B19200));
     let port = ScriptedPort { reads, baud_rate, ..ScriptedPort::default() };
     let shared = Arc::new(Shared::new(None));
-    Session::new(Box::new(port), None, None, Leftovers::unknown(), Arc::default(), shared)
+    Session::new(
+        Box::new(port),
+        None,
+        Wanted::default(),
+        Leftovers::unknown(),
+        Arc::default(),
+        shared,
+    )
 }
 
 #[tokio::test]

@@ -79,6 +79,12 @@ impl Parameters {
         }
     }
 
+    /// Returns true for a model that knows `GE` and `ME`: a UTM or UST. No command tells it, and a
+    /// URG-04LX that is asked for intensities can lock up until it is switched off.
+    pub fn has_intensities(&self) -> bool {
+        matches!(Codes::of(self.model.as_bytes()), Codes::Utm | Codes::Ethernet)
+    }
+
     pub(super) fn parse(data: &[u8]) -> Result<Self, MalformedError> {
         let (mut model, mut other) = (Text::default(), Vec::new());
         let mut numbers = [&b""[..]; 7];

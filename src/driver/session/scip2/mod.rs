@@ -50,6 +50,7 @@ pub(super) struct State {
     /// Smallest selection that the sensor measures.
     one_step: Option<Steps>,
     geometry: Geometry,
+    wants_intensities: bool,
     /// What to ask for.
     data: Data,
     /// Stream that the sensor sends.
@@ -61,13 +62,14 @@ pub(super) struct State {
 }
 
 impl State {
-    pub(super) fn new() -> Self {
+    pub(super) fn new(wants_intensities: bool) -> Self {
         Self {
             // Random, so that no reply to an earlier process matches a request.
             labels: Labels::starting_at(fastrand::u64(..)),
             has_stray_frames: false,
             one_step: None,
             geometry: Geometry::URG_04LX,
+            wants_intensities,
             data: Data::Distances,
             running: None,
             waiting: Waiting::new(),
@@ -190,6 +192,8 @@ impl Scip2<'_> {
         let first = *told.steps.start();
         self.state.one_step = Steps::new(first..=first).ok();
         self.state.geometry = told.geometry();
+        let has_intensities = self.state.wants_intensities && told.has_intensities();
+        self.state.data = if has_intensities { Data::Intensities } else { Data::Distances };
         Ok(told)
     }
 

@@ -1,0 +1,49 @@
+//! Intensities: on request, from the models that measure them.
+
+use tokio_scip::{Rate, Scan, Window};
+use urg_emulator::{Emulator, Model, Values, World, WorldTime};
+
+use super::next;
+use crate::common::builder;
+
+/// Shows a number of each step, and another one as its intensity.
+struct Numbers;
+
+impl World for Numbers {
+    fn measure(&mut self, _: WorldTime, values: &mut Values) {
+        (1000..).zip(values.iter_mut()).for_each(|(number, slot)| *slot = number);
+    }
+
+    fn measure_intensities(&mut self, _: WorldTime, _: &Values, intensities: &mut Values) {
+        (100_000..).zip(intensities.iter_mut()).for_each(|(number, slot)| *slot = number);
+    }
+}
+
+fn check(scan: &Scan, model: Model) {
+    let (start, clusters) = (u32::from(scan.window().start()), scan.window().cluster_count());
+    let steps = (start..).step_by(clusters.into()).take(scan.len());
+    let expected: Vec<u32> = steps.clone().map(|step| 100_000 + step).collect();
+    let has_intensities = matches!(model, Model::Utm30lx | Model::Ust10lx);
+    assert_eq!(scan.intensities(), has_intensities.then_some(&expected[..]), "{model:?}");
+    assert!(scan.raw_values().eq(steps.map(|step| 1000 + step)), "{model:?} {scan:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_scan_has_them_if_asked_for() {
+    for model in [Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx] {
+        let emulator = Emulator::builder().model(model).world(Numbers).build();
+        let asking = builder().intensities(true);
+        let sensor = asking.connect(emulator.clone()).await.unwrap();
+        let clustered = Window::new(101..=300).unwrap().with_cluster_count(7).unwrap();
+        // By GD or GE, and cut from a stream.
+        for rate in [Rate::hz(0.5), Rate::UNLIMITED] {
+            let mut stream = sensor.scans(Window::DETECTION, rate).await.unwrap();
+            check(&next(&mut stream).await, model);
+            check(&sensor.scan(Window::new(200..=210).unwrap()).await.unwrap(), model);
+            check(&sensor.scan(clustered).await.unwrap(), model);
+        }
+        sensor.close().await;
+        let plain = builder().connect(emulator).await.unwrap();
+        assert_eq!(plain.scan(Window::DETECTION).await.unwrap().intensities(), None);
+    }
+}
