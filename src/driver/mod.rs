@@ -17,6 +17,7 @@ mod raw_reply;
 mod ray_order;
 mod request;
 mod schedule;
+mod sensor_clock;
 mod serve;
 mod session;
 mod supervisor;

@@ -17,7 +17,7 @@
 // With their paths, because a benchmark includes this file.
 #[cfg(test)]
 #[path = "motor_clock/model.rs"]
-mod model;
+pub(super) mod model;
 #[cfg(test)]
 #[path = "motor_clock/tests.rs"]
 mod tests;

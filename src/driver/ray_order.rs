@@ -17,6 +17,8 @@ const SHORTEST_REVOLUTION: u32 = 9;
 pub(crate) struct RayOrder {
     /// When the latest poll was sent, and the earliest time of the next scan's first ray.
     latest: Option<(Instant, Instant)>,
+    /// Sensor's clock of the latest scan, if it tells.
+    clock: Option<u32>,
     /// How much faster scans come than a motor turns. A late reply makes it a revolution at most.
     ahead: Duration,
 }
@@ -25,6 +27,11 @@ impl RayOrder {
     /// Makes the stamps of a scan later if it would begin before the latest ray. A sensor that answers
     /// faster than its motor turns shows a revolution twice: then scans overlap.
     pub(crate) fn arrange(&mut self, scan: &mut Scan) {
+        let clock = scan.meta.sensor_clock;
+        if clock.is_some() && std::mem::replace(&mut self.clock, clock) == clock {
+            // Another window of the same revolution.
+            return;
+        }
         let (revolution, mut first_ray) = (scan.scan_time(), scan.first_ray_at());
         if let Some((requested, earliest)) = self.latest {
             let since = scan.meta.requested_at.saturating_duration_since(requested);

@@ -101,6 +101,15 @@ impl Geometry {
         (step - f64::from(self.front_step)) * self.step_angle()
     }
 
+    /// Direction in radians in which a revolution ends, and the sensor can send its scan: for a URG
+    /// the rear, for newer sensors the end of their last step.
+    pub(crate) fn end_angle(&self) -> f64 {
+        match self.codes {
+            None | Some(Codes::Urg) => std::f64::consts::PI,
+            Some(_) => self.angle(f64::from(self.last_step) + 1.0),
+        }
+    }
+
     /// Returns true if values have at most 12 bits, as in SCIP 1.1.
     pub(crate) const fn has_short_values(&self) -> bool {
         self.codes.is_none()

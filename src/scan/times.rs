@@ -18,6 +18,9 @@ pub enum StampQuality {
     /// Motor of the sensor, as the driver knows it from the arrivals so far. Only on the sensor's own
     /// USB port.
     Motor,
+    /// Clock of the sensor, as the driver knows it from the arrivals so far. Only the scans of a
+    /// [stream](crate::guide::polling) of SCIP 2.
+    SensorClock,
 }
 
 /// All times of a [`Scan`] beside its first ray and its arrival: [`Scan::times`].
@@ -99,6 +102,7 @@ impl Scan {
     pub fn times(&self) -> ScanTimes {
         let ScanMeta { requested_at, stamp, lateness, .. } = self.meta;
         let quality = match lateness {
+            Some(_) if self.meta.sensor_clock.is_some() => StampQuality::SensorClock,
             Some(_) => StampQuality::Motor,
             None => StampQuality::Arrival,
         };
@@ -141,8 +145,9 @@ impl Scan {
 
     /// Time from the first ray to the arrival of the first byte.
     fn since_first_ray(&self) -> Duration {
-        let from_rear = (f64::from(self.angle_min()) / std::f64::consts::TAU + 0.5).clamp(0.0, 1.0);
-        let turned = self.meta.scan_time.mul_f64(1.0 - from_rear);
+        let until_end = self.meta.geometry.end_angle() - f64::from(self.angle_min());
+        let turns = (until_end / std::f64::consts::TAU).clamp(0.0, 1.0);
+        let turned = self.meta.scan_time.mul_f64(turns);
         turned.saturating_add(self.meta.lateness.unwrap_or_default())
     }
 }

@@ -4,6 +4,7 @@ mod histories;
 mod intensities;
 mod refusals;
 mod streams;
+mod times;
 
 use tokio::io::AsyncWriteExt;
 use tokio_scip::protocol::Protocol;

@@ -170,7 +170,7 @@ async fn lost_scans_are_counted() {
     }
     let gaps: u32 = all.windows(2).map(|pair| pair[1] - pair[0] - 1).sum();
     assert!(gaps > 100, "{gaps}");
-    assert_eq!(sensor.stats().lost, gaps.into());
+    assert_eq!(sensor.stats().lost, u64::from(gaps));
 }
 
 /// Scan of clusters, and the same from a sensor that sends nothing on its own.

@@ -23,25 +23,25 @@ const STAMP_BOUND: f64 = 2e-3;
 const PERIOD_BOUND: f64 = 1e-3;
 
 /// Numbers that only look random (xorshift).
-pub(super) struct ModelRandom(pub(super) u64);
+pub(in super::super) struct ModelRandom(pub(in super::super) u64);
 
 impl ModelRandom {
-    pub(super) fn below_one(&mut self) -> f64 {
+    pub(in super::super) fn below_one(&mut self) -> f64 {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
         self.0 ^= self.0 << 17;
         (self.0 >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    fn between(&mut self, least: f64, most: f64) -> f64 {
+    pub(in super::super) fn between(&mut self, least: f64, most: f64) -> f64 {
         least + (most - least) * self.below_one()
     }
 
-    fn once_in(&mut self, times: f64) -> bool {
+    pub(in super::super) fn once_in(&mut self, times: f64) -> bool {
         self.below_one() * times < 1.0
     }
 
-    fn pick<T: Copy>(&mut self, from: &[T]) -> T {
+    pub(in super::super) fn pick<T: Copy>(&mut self, from: &[T]) -> T {
         from[(self.below_one() * from.len() as f64) as usize]
     }
 
@@ -51,7 +51,7 @@ impl ModelRandom {
 }
 
 /// Host that reads late in some spells: a part of the replies, by a mean lateness.
-struct Host {
+pub(in super::super) struct Host {
     late: f64,
     lateness: f64,
     /// Mean duration of a spell, and of the time between two.
@@ -61,14 +61,14 @@ struct Host {
 }
 
 impl Host {
-    fn draw(random: &mut ModelRandom, is_busy: bool) -> Self {
+    pub(in super::super) fn draw(random: &mut ModelRandom, is_busy: bool) -> Self {
         let late = if is_busy { random.pick(&[0.01, 0.2, 1.0]) } else { 0.0 };
         let lateness = random.pick(&[2e-3, 10e-3, 30e-3]);
         let spells = random.pick(&[(1e9, 0.0), (3.0, 27.0), (0.3, 3.0), (60.0, 60.0)]);
         Self { late, lateness, spells, is_busy: false, changes: 0.0 }
     }
 
-    fn delay(&mut self, at: f64, random: &mut ModelRandom) -> f64 {
+    pub(in super::super) fn delay(&mut self, at: f64, random: &mut ModelRandom) -> f64 {
         if at > self.changes {
             self.is_busy = !self.is_busy;
             let mean = if self.is_busy { self.spells.0 } else { self.spells.1 };

@@ -168,11 +168,13 @@ impl Service<'_> {
     /// Makes a scan of a reply, and learns from its arrival when the motor's revolutions end.
     pub(super) fn scan_from(&mut self, window: Window, acquired: Acquired) -> Scan {
         self.laser.record_scan(window);
-        let Acquired { values, first, clock: sensor_clock, times } = acquired;
+        let Acquired { values, first, told, times } = acquired;
         let clock = self.motor_clock.as_mut().filter(|_| !times.is_replayed);
-        let (revolution, motor) = clock.map_or_else(Default::default, |clock| {
-            (clock.observe(times.requested, times.began), clock.stats())
-        });
+        let (revolution, motor) = match (&told, clock) {
+            (Some(told), _) => (told.revolution, told.motor),
+            (None, Some(clock)) => (clock.observe(times.requested, times.began), clock.stats()),
+            (None, None) => Default::default(),
+        };
         let mut stats = self.shared.counters.stats();
         stats.scanned(times.requested, times.received);
         stats.motor = motor;
@@ -188,7 +190,7 @@ impl Service<'_> {
             repeat: false,
             scan_time: revolution.period.unwrap_or(self.scan_time),
             geometry: self.geometry,
-            sensor_clock,
+            sensor_clock: told.map(|told| told.clock),
             reconnects: self.reconnects,
         };
         let mut scan = Scan::new(window, values, first, meta);

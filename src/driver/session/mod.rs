@@ -37,6 +37,7 @@ use self::scip1::{Scip1, UniqueRequests};
 use self::scip2::Scip2;
 use super::config::Wanted;
 use super::failure::{ExchangeError, LinkError};
+use super::motor_clock::Revolution;
 use super::observers::ReplyObservers;
 use super::schedule::StreamWish;
 use super::transport::{ReplyTimes, Transport};
@@ -45,6 +46,7 @@ use crate::protocol::scip2::Status;
 use crate::protocol::{Command, Protocol, Text};
 use crate::scan::Values;
 use crate::state::{Shared, VersionReply};
+use crate::stats::MotorStats;
 use crate::{BaudRate, ErrorKind, Geometry, Window};
 
 /// Values of a window.
@@ -54,9 +56,19 @@ pub(crate) struct Acquired {
     /// Index of the window's first value. The protocol may have asked for extra values before or
     /// after the window.
     pub(crate) first: usize,
-    /// Time of the sensor's clock in milliseconds when it measured them, if it has told.
-    pub(crate) clock: Option<u32>,
+    /// What the sensor has told of its clock.
+    pub(crate) told: Option<Box<Told>>,
     pub(crate) times: ReplyTimes,
+}
+
+/// Clock of a sensor, and what it shows.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Told {
+    /// Milliseconds when the sensor measured step 0.
+    pub(crate) clock: u32,
+    /// What is known of the revolution, from the scans of a stream.
+    pub(crate) revolution: Revolution,
+    pub(crate) motor: Option<MotorStats>,
 }
 
 /// Scan of a stream, with all points that the sensor sent.

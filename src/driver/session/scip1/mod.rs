@@ -53,7 +53,7 @@ impl ScanRequest {
     /// Returns the values of its answer.
     pub(super) fn values(&self, answer: Answer) -> Result<Acquired, ExchangeError> {
         let Answer { reply, times } = accepted(&self.command, answer)?;
-        Ok(Acquired { values: reply.into_values().into(), first: self.first, clock: None, times })
+        Ok(Acquired { values: reply.into_values().into(), first: self.first, told: None, times })
     }
 }
 

@@ -15,10 +15,12 @@ use tokio::time::Instant;
 use self::exchange::{Answer, accepted, text};
 use self::stream::{Running, Waiting};
 use super::super::failure::{ExchangeError, LinkError};
+use super::super::motor_clock::Revolution;
+use super::super::sensor_clock::SensorClock;
 use super::super::transport::{Expected, Limits, ReplyTimes};
-use super::Acquired;
 use super::errors::{malformed, no_reply, not_confirmed, on_behalf_of};
 use super::line::Line;
+use super::{Acquired, Told};
 use crate::codec::FoundFrame;
 use crate::protocol::scip2::{
     Command, Content, Data, Labels, Parameters, Request, Scan, Stamp, Status, Steps,
@@ -57,6 +59,7 @@ pub(super) struct State {
     running: Option<Running>,
     /// What the stream has sent, and the driver has not yet delivered.
     waiting: Waiting,
+    clock: SensorClock,
     /// Sensor's clock of the stream's latest scan, and when it came.
     latest: Option<(Stamp, Instant)>,
 }
@@ -73,6 +76,7 @@ impl State {
             data: Data::Distances,
             running: None,
             waiting: Waiting::new(),
+            clock: SensorClock::new(Geometry::URG_04LX.revolution()),
             latest: None,
         }
     }
@@ -93,15 +97,16 @@ fn steps(window: Window) -> Result<Steps, ExchangeError> {
 
 /// Converts a scan as the sensor sent it.
 fn acquired(scan: Scan, times: ReplyTimes) -> Acquired {
-    let clock = match scan.stamp() {
-        Stamp::Milliseconds(time) => Some(time),
+    let told = match scan.stamp() {
+        Stamp::Milliseconds(clock) => Some(clock),
         Stamp::Microseconds(_) => None,
     };
+    let told = told.map(|clock| Told { clock, revolution: Revolution::default(), motor: None });
     let has_intensities = !scan.intensities().is_empty();
     let values = scan.into_values();
     let values =
         if has_intensities { Values::WithIntensities(values) } else { Values::Long(values) };
-    Acquired { values, first: 0, clock, times }
+    Acquired { values, first: 0, told: told.map(Box::new), times }
 }
 
 /// Creates a request to change the baud rate, without a label.
@@ -192,6 +197,7 @@ impl Scip2<'_> {
         let first = *told.steps.start();
         self.state.one_step = Steps::new(first..=first).ok();
         self.state.geometry = told.geometry();
+        self.state.clock = SensorClock::new(self.state.geometry.revolution());
         let has_intensities = self.state.wants_intensities && told.has_intensities();
         self.state.data = if has_intensities { Data::Intensities } else { Data::Distances };
         Ok(told)

@@ -21,8 +21,9 @@ use crate::protocol::scip2::{
 use crate::state::Shared;
 use crate::{Error, ErrorKind, Geometry, Window};
 
-/// Range of the sensor's clock in milliseconds: 24 bits.
+/// Milliseconds after which the sensor's clock begins anew: 24 bits (p. 12).
 const CLOCK: u32 = 1 << 24;
+const WRAP: Duration = Duration::from_millis(CLOCK as u64);
 /// Longest gap between two scans that counts as lost scans. After a longer one the clock has more
 /// likely jumped.
 const LONGEST_GAP: Duration = Duration::from_secs(10);
@@ -238,8 +239,13 @@ impl State {
             let period = revolution * (u32::from(running.skipped) + 1);
             shared.counters.stats().lost += lost(stamp, scan.stamp(), period);
         }
-        let Running { window, .. } = running;
-        self.waiting.push_back(Ok(Streamed { window, acquired: acquired(scan, times) }));
+        let (window, stamp) = (running.window, scan.stamp());
+        let mut acquired = acquired(scan, times);
+        if let Some(told) = acquired.told.as_deref_mut().filter(|_| !times.is_replayed) {
+            told.revolution = self.clock.observe(stamp.since_zero(), WRAP, times.began);
+            told.motor = self.clock.stats();
+        }
+        self.waiting.push_back(Ok(Streamed { window, acquired }));
     }
 
     fn add_malformed(&mut self, request: &Request, error: ReplyError, len: usize, shared: &Shared) {
@@ -280,7 +286,7 @@ impl Streamed {
         if !self.window.holds(&window) {
             return None;
         }
-        let Acquired { values, clock, times, .. } = &self.acquired;
+        let Acquired { values, told, times, .. } = &self.acquired;
         let first = usize::from(window.start() - self.window.start());
         let clusters = usize::from(window.cluster_count());
         let (values, first) = if window == self.window {
@@ -290,6 +296,6 @@ impl Streamed {
         } else {
             (values.clustered(first, window.steps(), clusters, geometry), 0)
         };
-        Some(Acquired { values, first, clock: *clock, times: *times })
+        Some(Acquired { values, first, told: told.clone(), times: *times })
     }
 }

@@ -1,0 +1,224 @@
+//! [`SensorClock`]: estimates when the revolutions of a stream ended, from the sensor's clock and the
+//! arrivals of its scans.
+//!
+//! A sensor of SCIP 2 stamps each scan with its own clock, in whole milliseconds, and sends it when the
+//! revolution ends. The clock runs up to 0.2 % fast or slow. The host reads the first byte later: by up
+//! to a frame of 1 ms, and by 30 ms if a busy host runs the driver late.
+//!
+//! - One line turns the sensor's clock into the host's: it runs along the earliest arrivals. An arrival
+//!   that is later than the gate is left out; nothing arrives early, so one that is earlier than the
+//!   gate, or several that are late by the same time, mean that the clock has jumped.
+//! - A second line smooths whole milliseconds: the motor is steadier than that. A scan that is a
+//!   millisecond off begins the line anew.
+//!
+//! No scan is held back or dropped, and nothing is asked of the sensor.
+
+// With its path, because a benchmark includes this file.
+#[cfg(test)]
+#[path = "sensor_clock/model.rs"]
+mod model;
+
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use super::motor_clock::Revolution;
+use crate::stats::MotorStats;
+
+/// Number of scans that each fit remembers, and the longest time in seconds that it remembers the motor:
+/// its speed drifts.
+const MEMORY: f64 = 1000.0;
+const MOTOR_MEMORY: f64 = 100.0;
+const LONGEST_MOTOR_MEMORY: f64 = 20.0;
+/// Standard deviation in seconds of arrivals in frames, and of whole milliseconds.
+const DEVIATION: f64 = 0.3e-3;
+/// Standard deviation of a clock's rate and of a motor's period, as parts of them.
+const RATE_DEVIATION: f64 = 0.002;
+const PERIOD_DEVIATION: f64 = 0.003;
+/// How far an arrival may be from the line of the clock, and a revolution from the line of the motor,
+/// without the uncertainty of the line.
+const GATE: f64 = 2.0e-3;
+const MOTOR_GATE: f64 = 1.2e-3;
+/// Weight of an arrival below the line. An arrival above it has weight 1.
+const EARLY_WEIGHT: f64 = 40.0;
+/// The fit starts again after a pause of this many seconds.
+const LONGEST_PAUSE: f64 = 30.0;
+/// Number of agreeing late arrivals, less the others, that mean a jump of the clock: if it has left the
+/// motor's line, and if not. The host may be busy for long.
+const JUMP: u32 = 5;
+const JUMP_BY_TURNS: u32 = 100;
+/// Number of arrivals that fit until the lines are used.
+const FIRST: u32 = 10;
+
+/// Line by least squares, which forgets. Its sums count from its latest point.
+#[derive(Debug, Clone, Copy)]
+struct Line {
+    /// Value at the latest point, and change of the value in one unit.
+    value: f64,
+    slope: f64,
+    /// Sums of `w`, `w x` and `w x²` over all points with their weights `w`.
+    sums: [f64; 3],
+}
+
+impl Line {
+    /// Line through one point, whose slope is known to within this deviation.
+    fn new(value: f64, slope: f64, slope_deviation: f64) -> Self {
+        let deviation = slope_deviation / DEVIATION;
+        Self { value, slope, sums: [1.0, 0.0, 1.0 / (deviation * deviation)] }
+    }
+
+    /// Moves on by `ahead` units, with this part of the sums forgotten.
+    fn advance(&mut self, ahead: f64, forgotten: f64) {
+        let [w, wx, wxx] = self.sums.map(|sum| sum / (1.0 + forgotten.max(0.0)));
+        let moved = wx - ahead * w;
+        self.value += self.slope * ahead;
+        self.sums = [w, moved, wxx - ahead * (wx + moved)];
+    }
+
+    /// Standard deviation of the value.
+    fn deviation(&self) -> f64 {
+        let [w, wx, wxx] = self.sums;
+        DEVIATION * (wxx / (w * wxx - wx * wx)).sqrt()
+    }
+
+    /// Adds a point that is this far above the line.
+    fn add(&mut self, above: f64, weight: f64) {
+        let [w, wx, wxx] = self.sums;
+        self.sums = [w + weight, wx, wxx];
+        let gain = weight * above / ((w + weight) * wxx - wx * wx);
+        self.slope -= wx * gain;
+        self.value += wxx * gain;
+    }
+}
+
+/// What is known while a stream runs. Times are in seconds from `origin`.
+#[derive(Debug, Clone)]
+pub(crate) struct SensorClock {
+    origin: Instant,
+    /// Seconds of a revolution, as the sensor tells.
+    nominal: f64,
+    lines: Option<Lines>,
+    jumps: u64,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Lines {
+    /// Clock of the latest scan in seconds.
+    clock: f64,
+    /// Arrivals by the sensor's clock.
+    arrivals: Line,
+    /// Ends of revolutions by their number.
+    motor: Line,
+    /// Number of arrivals that have fitted.
+    count: u32,
+    /// True if a revolution has left the motor's line, and no arrival has fitted since: then the clock
+    /// may have jumped.
+    has_moved: bool,
+    /// How late most recent misfits are, and their votes (the majority vote of Boyer and Moore).
+    misfits: (f64, u32),
+}
+
+impl SensorClock {
+    /// Creates the clock of a sensor whose revolution nominally takes this long.
+    pub(crate) fn new(nominal: Duration) -> Self {
+        let nominal = nominal.as_secs_f64();
+        Self { origin: Instant::now(), nominal, lines: None, jumps: 0 }
+    }
+
+    /// Adds a scan whose first byte arrived at `arrived`, with the sensor's clock `since` the scan
+    /// before. Returns when its revolution ended.
+    pub(crate) fn observe(
+        &mut self,
+        clock: Duration,
+        wrap: Duration,
+        arrived: Instant,
+    ) -> Revolution {
+        let arrived = arrived.saturating_duration_since(self.origin).as_secs_f64();
+        let (clock, wrap) = (clock.as_secs_f64(), wrap.as_secs_f64());
+        let Some(mut lines) = self.lines else { return self.start(clock, arrived) };
+        let passed = (clock - lines.clock).rem_euclid(wrap);
+        lines.clock = clock;
+        lines.arrivals.advance(passed, 1.0 / MEMORY);
+        let late = arrived - lines.arrivals.value;
+        let gate = GATE + 3.0 * lines.arrivals.deviation();
+        // Not a number if rounding has made a determinant negative.
+        if gate.is_nan() || late < -gate || passed > LONGEST_PAUSE {
+            self.jumps += u64::from(lines.is_used());
+            return self.start(clock, arrived);
+        }
+        if late <= gate {
+            (lines.misfits, lines.has_moved) = ((0.0, 0), false);
+            let weight = if late < 0.0 && lines.is_used() { EARLY_WEIGHT } else { 1.0 };
+            lines.arrivals.add(late, weight);
+            lines.count += 1;
+        }
+        // By the first line.
+        let end = lines.arrivals.value;
+        let turns = ((end - lines.motor.value) / lines.motor.slope).round();
+        let forgotten = (1.0 / MOTOR_MEMORY).max(passed / LONGEST_MOTOR_MEMORY);
+        lines.motor.advance(turns, forgotten);
+        let off = end - lines.motor.value;
+        if off.abs() <= MOTOR_GATE + 3.0 * lines.motor.deviation() {
+            lines.motor.add(off, 1.0);
+        } else {
+            let slope = lines.motor.slope;
+            lines.motor = Line::new(end, slope, PERIOD_DEVIATION * slope);
+            lines.has_moved = true;
+        }
+        if late > gate && lines.is_jump(late, gate) {
+            self.jumps += u64::from(lines.is_used());
+            return self.start(clock, arrived);
+        }
+        let revolution = lines.revolution(arrived);
+        self.lines = Some(lines);
+        revolution
+    }
+
+    /// What is known about the motor, while the lines are used.
+    pub(crate) fn stats(&self) -> Option<MotorStats> {
+        let lines = self.lines.filter(Lines::is_used)?;
+        Some(MotorStats { revolution: duration(lines.motor.slope), jumps: self.jumps })
+    }
+
+    fn start(&mut self, clock: f64, arrived: f64) -> Revolution {
+        self.lines = Some(Lines {
+            clock,
+            arrivals: Line::new(arrived, 1.0, RATE_DEVIATION),
+            motor: Line::new(arrived, self.nominal, PERIOD_DEVIATION * self.nominal),
+            count: 0,
+            has_moved: false,
+            misfits: (0.0, 0),
+        });
+        Revolution::default()
+    }
+}
+
+impl Lines {
+    fn is_used(&self) -> bool {
+        self.count >= FIRST
+    }
+
+    /// Judges an arrival that is late by more than the gate: the host is busy unless several agree.
+    fn is_jump(&mut self, late: f64, gate: f64) -> bool {
+        let (agreed, votes) = self.misfits;
+        self.misfits = match votes {
+            0 => (late, 1),
+            _ if (late - agreed).abs() > gate => (agreed, votes - 1),
+            _ => (agreed + (late - agreed) / f64::from(votes + 1), votes + 1),
+        };
+        self.misfits.1 >= if self.has_moved { JUMP } else { JUMP_BY_TURNS }
+    }
+
+    fn revolution(&self, arrived: f64) -> Revolution {
+        if !self.is_used() {
+            return Revolution::default();
+        }
+        let lateness = (!self.has_moved).then(|| duration(arrived - self.motor.value));
+        Revolution { lateness, period: Some(duration(self.motor.slope)) }
+    }
+}
+
+/// Duration of these seconds, or zero if they are negative.
+fn duration(seconds: f64) -> Duration {
+    Duration::try_from_secs_f64(seconds).unwrap_or_default()
+}

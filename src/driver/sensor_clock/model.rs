@@ -1,0 +1,138 @@
+//! Streams, clocks and hosts at random, against the ends of revolutions that the clock cannot see: how
+//! far stamps are off, and how soon there are some. Sensor and host share no code with the clock.
+//!
+//! `SCIP_CLOCKS=20 cargo test --release --lib sensor_clock::model -- --nocapture` draws 320 sensors for
+//! each cell, prints each cell, and takes a minute; `SCIP_CLOCKS_FIRST=1000001` draws others.
+
+use super::super::motor_clock::model::{Host, ModelRandom};
+use super::*;
+
+/// Sensors of a cell.
+const SENSORS: u64 = 3;
+/// Time that each sensor sends, in seconds, and the largest number of its scans.
+const TIME: f64 = 3600.0;
+const MOST_SCANS: usize = 10_000;
+/// Time after a start or a jump after which stamps count, in seconds.
+const SETTLED: f64 = 10.0;
+/// Interval of the frames of USB, and of a UST on Ethernet, in seconds.
+const FRAME: f64 = 1e-3;
+/// 24 bits of milliseconds.
+const WRAP: f64 = 16_777.216;
+/// Errors of a stamp in seconds that 99 %, and all but one in a thousand, do not exceed.
+const USUAL_BOUND: f64 = 0.5e-3;
+const STAMP_BOUND: f64 = 2e-3;
+
+/// Kind of a sensor and its host.
+#[derive(Debug, Clone, Copy)]
+struct Kind {
+    revolution: f64,
+    /// Number of scans left out after each one.
+    skipped: u32,
+    /// Times in microseconds in place of milliseconds.
+    is_fine: bool,
+    is_busy: bool,
+    /// Clock and motor jump.
+    is_odd: bool,
+}
+
+#[derive(Debug, Default)]
+struct Cell {
+    stamps: usize,
+    /// Settled stamps that rest on the clock, and how many of them are off by more than each bound.
+    settled: usize,
+    unusual: usize,
+    wrong: usize,
+    /// Seconds from the start to the first stamp by the clock.
+    waits: Vec<f64>,
+}
+
+impl Cell {
+    fn add(&mut self, kind: Kind, seed: u64) {
+        let mut random = ModelRandom(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
+        let epoch = Instant::now();
+        let mut period = kind.revolution * random.between(0.996, 1.004);
+        let drift = random.pick(&[0.0, 0.001, -0.001]) / 3600.0;
+        let rate = 1.0 + random.between(-0.002, 0.002);
+        let mut offset = WRAP * random.below_one();
+        let mut host = Host::draw(&mut random, kind.is_busy);
+        let (phase, delay) = (FRAME * random.below_one(), random.between(0.0, 2e-4));
+        let mut clock = SensorClock::new(Duration::from_secs_f64(kind.revolution));
+        let (mut end, mut scans, mut read) = (1.0 + random.below_one(), 0, 0.0_f64);
+        let (mut unsettled, mut first) = (end + SETTLED, Some(end));
+        while end < TIME && scans < MOST_SCANS {
+            scans += 1;
+            period *= 1.0 + drift * period;
+            end += period * f64::from(kind.skipped + 1);
+            if kind.is_odd && random.once_in(4000.0) {
+                match random.below_one() {
+                    // The clock jumps, or begins anew.
+                    x if x < 0.3 => offset += random.between(-0.1, 0.1),
+                    x if x < 0.5 => offset = -end * rate,
+                    // The motor does.
+                    x if x < 0.8 => end += period * random.below_one(),
+                    _ => end += 10_f64.powf(random.between(-1.0, 3.0)),
+                }
+                unsettled = end + SETTLED;
+            }
+            let begun = end - period;
+            let unit = if kind.is_fine { 1e-6 } else { 1e-3 };
+            let wrap = if kind.is_fine { 18_446_744_073_709.551 } else { WRAP };
+            let stamp = ((begun * rate + offset) / unit).floor() * unit;
+            let stamp = Duration::from_secs_f64(stamp.rem_euclid(wrap));
+            let sent = ((end + delay - phase) / FRAME).ceil() * FRAME + phase;
+            // Bytes of a stream keep their order.
+            read = (sent + host.delay(sent, &mut random)).max(read);
+            let at = epoch + Duration::from_secs_f64(read);
+            let revolution = clock.observe(stamp, Duration::from_secs_f64(wrap), at);
+            self.stamps += 1;
+            let Some(lateness) = revolution.lateness else { continue };
+            self.waits.extend(first.take().map(|first| end - first));
+            if end > unsettled {
+                let error = (read - lateness.as_secs_f64() - end).abs();
+                self.settled += 1;
+                self.unusual += usize::from(error > USUAL_BOUND);
+                self.wrong += usize::from(error > STAMP_BOUND);
+            }
+        }
+    }
+}
+
+fn draw(kind: Kind) -> Cell {
+    let number = |name: &str| std::env::var(name).ok().map(|text| text.parse::<u64>().unwrap());
+    let first = number("SCIP_CLOCKS_FIRST").unwrap_or(1);
+    let mut cell = Cell::default();
+    let seeds = first..first + number("SCIP_CLOCKS").map_or(SENSORS, |times| 16 * times);
+    seeds.for_each(|seed| cell.add(kind, seed));
+    let Cell { stamps, settled, unusual, wrong, waits } = &cell;
+    let latest = waits.iter().copied().fold(0.0, f64::max);
+    println!(
+        "{kind:?}: {settled} of {stamps} stamps settled, {unusual} off by 0.5 ms, {wrong} by 2 ms, first after {latest:.1} s"
+    );
+    cell
+}
+
+#[test]
+fn few_stamps_by_the_clock_are_wrong() {
+    let mut cells = Vec::new();
+    for revolution in [0.025, 0.1] {
+        for skipped in [0, 3, 9] {
+            for (is_fine, is_busy, is_odd) in [
+                (false, false, false),
+                (false, true, false),
+                (false, false, true),
+                (false, true, true),
+                (true, false, false),
+                (true, true, true),
+            ] {
+                let kind = Kind { revolution, skipped, is_fine, is_busy, is_odd };
+                cells.push((kind, draw(kind)));
+            }
+        }
+    }
+    for (kind, cell) in cells {
+        assert!(
+            cell.unusual * 100 <= cell.settled && cell.wrong * 1000 <= cell.settled,
+            "{kind:?}"
+        );
+    }
+}

@@ -1,0 +1,62 @@
+//! Times of scans in a stream: they rest on the sensor's clock, which is fast or slow, and begins anew.
+
+use std::time::Duration;
+
+use tokio::time::sleep;
+use tokio_scip::scan::StampQuality;
+use tokio_scip::{Rate, Scan, Window};
+use urg_emulator::{Emulator, Fault, Faults, Model};
+
+use super::{next, numbered, revolution};
+use crate::common::builder;
+
+/// Milliseconds by which the first ray of a scan is late, by the emulator's record.
+fn lateness(emulator: &Emulator, scan: &Scan) -> f64 {
+    let number = revolution(scan);
+    let sent = emulator.sent_scans();
+    let sent = sent.iter().rfind(|sent| sent.time.revolution as u32 == number).unwrap();
+    let powered_at = sent.revolution_end - sent.time.at;
+    let first_ray = powered_at + sent.time.at_step(scan.window().start().into());
+    let found = scan.times().first_ray_at;
+    let early = first_ray.saturating_duration_since(found).as_secs_f64();
+    (found.saturating_duration_since(first_ray).as_secs_f64() - early) * 1e3
+}
+
+#[tokio::test(start_paused = true)]
+async fn stamps_rest_on_the_sensors_clock() {
+    // The clock begins anew after 10 s, and reads 24 bits of milliseconds.
+    let wrap = Duration::from_millis(1 << 24);
+    for (model, reads, faster) in [
+        (Model::Ust10lx, Duration::ZERO, 0.002),
+        (Model::Utm30lx, wrap - Duration::from_secs(10), -0.002),
+        (Model::Urg04lxUg01, Duration::from_secs(1), 0.001),
+    ] {
+        let frame = Duration::from_millis(1);
+        let emulator = numbered(model).clock(reads, faster).frame(frame).build();
+        let sensor = builder().depth(2048).connect(emulator.clone()).await.unwrap();
+        for rate in [Rate::UNLIMITED, Rate::hz(10.0)] {
+            let mut stream = sensor.scans(Window::new(100..=400).unwrap(), rate).await.unwrap();
+            let scan = next(&mut stream).await;
+            let first = scan.times().quality;
+            assert_eq!(first == StampQuality::Arrival, rate == Rate::UNLIMITED, "{model:?}");
+            sleep(Duration::from_secs(10)).await;
+            emulator.set_faults(Faults::none().rate(0.1, Fault::Late(Duration::from_millis(5))));
+            let mut settled = 0;
+            while settled < 100 {
+                let scan = next(&mut stream).await;
+                let late = lateness(&emulator, &scan);
+                if scan.received_at().elapsed() < Duration::from_secs(1) {
+                    settled += 1;
+                    assert_eq!(scan.times().quality, StampQuality::SensorClock, "{model:?}");
+                    // The timers of tokio's clock add up to a millisecond.
+                    assert!(late.abs() < 1.0, "{model:?} at {rate}: {late} ms");
+                }
+            }
+            emulator.set_faults(Faults::none());
+            // Not of the sensor's clock, which is fast or slow.
+            let nominal = scan.geometry().revolution().as_secs_f64();
+            let motor = sensor.stats().motor.unwrap();
+            assert!((motor.revolution.as_secs_f64() / nominal - 1.0).abs() < 2e-4, "{motor:?}");
+        }
+    }
+}
