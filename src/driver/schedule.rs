@@ -133,18 +133,11 @@ impl Schedules {
         Some(StreamWish { window: window.reduce(|one, other| one.hull(&other))?, skipped })
     }
 
-    /// Serves the schedules from the stream, those that were polled from its first scan on. Returns
-    /// true if the schedule of `poll` is one of them.
-    pub(crate) fn begin_stream(&mut self, poll: DuePoll, revolution: Duration) -> bool {
-        let now = Instant::now();
+    /// Serves the schedules from the stream.
+    pub(crate) fn begin_stream(&mut self, revolution: Duration) {
         for schedule in &mut self.all {
-            let was_streamed = schedule.is_streamed;
             schedule.is_streamed = schedule.skipped(revolution).is_some();
-            if schedule.is_streamed && !was_streamed {
-                schedule.due = now;
-            }
         }
-        find(&mut self.all, poll.window, poll.rate).is_some_and(|schedule| schedule.is_streamed)
     }
 
     /// Polls for all schedules again.
@@ -158,6 +151,11 @@ impl Schedules {
         let streamed = self.all.iter_mut().filter(|schedule| schedule.is_streamed);
         let due = streamed.filter(|schedule| schedule.due <= now);
         due.map(|schedule| (schedule.poll(), schedule.advance(now))).collect()
+    }
+
+    /// Returns true if a poll is due.
+    pub(crate) fn is_due(&self) -> bool {
+        self.next_due().is_some_and(|due| due <= Instant::now())
     }
 
     /// When the next poll is due.
@@ -190,6 +188,7 @@ impl Schedules {
     }
 
     /// Delivers the scan that `poll` received, on a line at `baud_rate` if there is one.
+    #[inline(always)]
     pub(crate) fn deliver(
         &mut self,
         poll: DuePoll,

@@ -150,9 +150,9 @@ impl Supervisor {
             streaming: false,
             timer: Timer::default(),
         };
-        let stop = service.run(session).await;
+        let Err(stop) = service.run(session).await;
         if matches!(stop, Stop::Closed(_) | Stop::Abandoned) {
-            session.stop_stream().await;
+            Box::pin(session.stop_stream()).await;
         }
         self.offline.pause();
         self.offline.queue.lose_link();

@@ -4,6 +4,7 @@ mod polls;
 mod settings;
 mod streamed;
 
+use std::convert::Infallible;
 use std::future::poll_fn;
 use std::task::Poll;
 use std::time::Duration;
@@ -91,82 +92,68 @@ pub(crate) struct Service<'a> {
 }
 
 impl Service<'_> {
-    /// Serves until there is a reason to stop.
-    pub(crate) async fn run(&mut self, session: &mut Session) -> Stop {
+    /// Serves until there is a reason to stop: one request, setting or poll in turn, so that none
+    /// starves the others.
+    pub(crate) async fn run(&mut self, session: &mut Session) -> Result<Infallible, Stop> {
         self.schedules.end_stream();
         self.schedules.resolve(&self.geometry);
         self.schedules.resume(Instant::now());
         self.check_baud_rate(session.baud_rate());
         let mut latest = Turn::Poll;
-        loop {
-            let outcome = self.serve_next(session, &mut latest).await;
-            if let Err(stop) = outcome {
-                return stop;
+        'turns: loop {
+            // Only bytes from the sensor show that the link is alive: some requests are answered
+            // without it.
+            let now = Instant::now();
+            let heard = session.heard_at();
+            let probe = self.probe_interval.zip(heard).map(|(interval, heard)| heard + interval);
+            // The next command would begin with a probe anyway. Now there may be time for it.
+            if session.needs_probe() || probe.is_some_and(|due| due <= now) {
+                let outcome = Box::pin(self.probe(session)).await;
+                ignore_command_errors(outcome)?;
             }
-        }
-    }
-
-    /// Serves one request, setting or poll in turn, so that none starves the others, or waits for one.
-    async fn serve_next(&mut self, session: &mut Session, latest: &mut Turn) -> Result<(), Stop> {
-        // Only bytes from the sensor show that the link is alive: some requests are answered
-        // without it.
-        let now = Instant::now();
-        let heard = session.heard_at();
-        let probe = self.probe_interval.zip(heard).map(|(interval, heard)| heard + interval);
-        // The next command would begin with a probe anyway. Now there may be time for it.
-        if session.needs_probe() || probe.is_some_and(|due| due <= now) {
-            let outcome = Box::pin(self.probe(session)).await;
-            ignore_command_errors(outcome)?;
-        }
-        if self.laser.retry_at().is_none() && self.laser.is_due(self.queue.desired.laser) {
-            // A setting that is younger than the session comes before all polls.
-            Box::pin(self.apply_laser(session)).await?;
-        }
-        self.check_stream(session);
-        let polling = !self.schedules.is_empty() && !self.laser.is_off();
-        self.publish_streaming(polling);
-        let due = self.schedules.next_due().filter(|_| polling);
-        let poll_is_due = due.is_some_and(|due| due <= Instant::now());
-        for _ in Turn::ALL {
-            *latest = latest.next();
-            let is_served = match latest {
-                Turn::Request => match self.queue.pop()? {
-                    Some(request) => {
-                        Box::pin(self.serve_request(session, request)).await?;
-                        true
+            if self.laser.retry_at().is_none() && self.laser.is_due(self.queue.desired.laser) {
+                // A setting that is younger than the session comes before all polls.
+                Box::pin(self.apply_laser(session)).await?;
+            }
+            self.check_stream(session);
+            let polling = !self.schedules.is_empty() && !self.laser.is_off();
+            self.publish_streaming(polling);
+            let due = self.schedules.next_due().filter(|_| polling);
+            let poll_is_due = due.is_some_and(|due| due <= Instant::now());
+            for _ in Turn::ALL {
+                latest = latest.next();
+                let is_served = match latest {
+                    Turn::Request => match self.queue.pop()? {
+                        Some(request) => {
+                            Box::pin(self.serve_request(session, request)).await?;
+                            true
+                        }
+                        None => false,
+                    },
+                    Turn::Setting if self.has_setting() => {
+                        Box::pin(self.apply_setting(session)).await?
                     }
-                    None => false,
-                },
-                Turn::Setting if self.has_setting() => {
-                    Box::pin(self.apply_setting(session)).await?
+                    Turn::Poll if poll_is_due || session.is_streaming() => {
+                        self.poll_due(session).await?
+                    }
+                    Turn::Setting | Turn::Poll => false,
+                };
+                if is_served {
+                    continue 'turns;
                 }
-                Turn::Poll
-                    if session.is_streaming()
-                        && Box::pin(self.deliver_streamed(session)).await? =>
-                {
-                    true
-                }
-                Turn::Poll if poll_is_due => {
-                    self.poll_due(session).await?;
-                    true
-                }
-                Turn::Setting | Turn::Poll => false,
-            };
-            if is_served {
-                return Ok(());
             }
+            let wake = due.into_iter().chain(probe).chain(self.laser.retry_at()).min();
+            poll_fn(|cx| {
+                if let Poll::Ready(outcome) = session.poll_unasked(cx) {
+                    return Poll::Ready(outcome.map_err(Stop::from));
+                }
+                if let Poll::Ready(outcome) = self.queue.poll_ready(cx) {
+                    return Poll::Ready(outcome.map_err(Stop::from));
+                }
+                wake.map_or(Poll::Pending, |wake| self.timer.poll(cx, wake).map(Ok))
+            })
+            .await?;
         }
-        let wake = due.into_iter().chain(probe).chain(self.laser.retry_at()).min();
-        poll_fn(|cx| {
-            if let Poll::Ready(outcome) = session.poll_unasked(cx) {
-                return Poll::Ready(outcome.map_err(Stop::from));
-            }
-            if let Poll::Ready(outcome) = self.queue.poll_ready(cx) {
-                return Poll::Ready(outcome.map_err(Stop::from));
-            }
-            wake.map_or(Poll::Pending, |wake| self.timer.poll(cx, wake).map(Ok))
-        })
-        .await
     }
 
     async fn serve_request(&mut self, session: &mut Session, request: Request) -> Result<(), Stop> {

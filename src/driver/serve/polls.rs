@@ -40,18 +40,22 @@ impl Service<'_> {
         }
     }
 
-    pub(super) async fn poll_due(&mut self, session: &mut Session) -> Result<(), Stop> {
+    /// Returns false if there was nothing to do.
+    pub(super) async fn poll_due(&mut self, session: &mut Session) -> Result<bool, Stop> {
+        if session.has_streams()
+            && let Some(is_served) = Box::pin(self.serve_stream(session)).await?
+        {
+            return Ok(is_served);
+        }
         let Some((poll, skipped)) = self.schedules.take_due(Instant::now()) else {
             self.schedules.publish(&self.shared.counters);
-            return Ok(());
+            return Ok(true);
         };
         if !poll.is_measured {
-            return Ok(self.fail_unmeasured(poll)?);
+            self.fail_unmeasured(poll)?;
+            return Ok(true);
         }
         let window = poll.window;
-        if session.has_streams() && Box::pin(self.begin_stream(session, poll)).await? {
-            return Ok(());
-        }
         // Earlier, the session would have to confirm the reply, which costs a revolution.
         if poll.rate.period().is_some()
             && let Some(copies_end) = session.copies_end(window)
@@ -70,7 +74,7 @@ impl Service<'_> {
             Err(failure) => self.fail(poll, failure)?,
         };
         self.end_poll(poll, ended, skipped);
-        Ok(())
+        Ok(true)
     }
 
     /// Counts what the end of a poll changed.

@@ -8,33 +8,51 @@ use tokio::task::coop::consume_budget;
 use tokio::time::Instant;
 
 use super::super::failure::ExchangeError;
-use super::super::schedule::DuePoll;
-use super::super::session::Session;
-use super::{Service, Stop, ignore_command_errors};
+use super::super::schedule::{DuePoll, Ended};
+use super::super::session::{Acquired, Session};
+use super::{Service, Stop, command_error, ignore_command_errors};
+use crate::{BaudRate, ErrorKind};
 
 impl Service<'_> {
-    /// Starts a stream for the schedules that are not too slow for one, if the line is not. Returns
-    /// true if it serves the schedule of `poll`, or if that has failed.
-    pub(super) async fn begin_stream(
+    /// Delivers a scan of the stream, or starts one for the schedules that are not too slow for it, if
+    /// the line is not. Returns true if it has done so, false if there is nothing to do now, and
+    /// `None` if a schedule is to be polled.
+    pub(super) async fn serve_stream(
         &mut self,
         session: &mut Session,
-        poll: DuePoll,
-    ) -> Result<bool, Stop> {
-        let Some(wish) = self.schedules.stream(self.scan_time) else { return Ok(false) };
+    ) -> Result<Option<bool>, Stop> {
+        if session.is_streaming() && self.deliver_streamed(session).await? {
+            return Ok(Some(true));
+        }
+        if !self.schedules.is_due() {
+            return Ok(Some(false));
+        }
+        let Some(wish) = self.schedules.stream(self.scan_time) else { return Ok(None) };
         if !session.can_stream(wish, self.scan_time) {
-            return Ok(false);
+            return Ok(None);
         }
-        if let Err(failure) = session.stream(wish).await {
-            self.shared.counters.count_poll();
-            self.shared.counters.fail(self.shared.link.error(failure.kind().clone()));
-            let ended = self.fail(poll, failure)?;
-            self.end_poll(poll, ended, 0);
-            return Ok(true);
+        self.schedules.begin_stream(self.scan_time);
+        match session.stream(wish).await {
+            Ok(()) => self.streamed = Some(wish.skipped),
+            Err(failure) => {
+                let error = command_error(failure)?;
+                self.fail_streamed(&error)?;
+                self.schedules.end_stream();
+            }
         }
-        self.streamed = Some(wish.skipped);
-        let is_served = self.schedules.begin_stream(poll, self.scan_time);
         self.schedules.publish(&self.shared.counters);
-        Ok(is_served)
+        Ok(if self.schedules.is_due() { None } else { Some(true) })
+    }
+
+    /// Ends the polls of the stream that are due now with an error.
+    fn fail_streamed(&mut self, error: &ErrorKind) -> Result<(), Stop> {
+        self.shared.counters.fail(self.shared.link.error(error.clone()));
+        for (poll, skipped) in self.schedules.take_streamed(Instant::now()) {
+            self.shared.counters.count_poll();
+            let ended = self.fail(poll, ExchangeError::Command(error.clone()))?;
+            self.end_poll(poll, ended, skipped);
+        }
+        Ok(())
     }
 
     /// Polls again once nothing comes from a stream any more.
@@ -55,23 +73,19 @@ impl Service<'_> {
             Poll::Pending => return Ok(false),
         }
         let Some(next) = session.take_streamed() else { return Ok(false) };
-        if let Err(error) = &next {
-            self.shared.counters.fail(self.shared.link.error(error.clone()));
-        }
-        for (poll, skipped) in self.schedules.take_streamed(Instant::now()) {
-            self.shared.counters.count_poll();
-            let ended = match &next {
-                Ok(streamed) => {
-                    // Sent before the stream had this window.
-                    let Some(acquired) = streamed.cut(poll.window, &self.geometry) else {
-                        continue;
-                    };
-                    let scan = self.scan_from(poll.window, acquired);
-                    self.schedules.deliver(poll, scan, session.believed_baud_rate())
+        match next {
+            Ok(streamed) => {
+                for (poll, skipped) in self.schedules.take_streamed(Instant::now()) {
+                    self.shared.counters.count_poll();
+                    // It may have been sent before the stream had this window.
+                    if let Some(acquired) = streamed.cut(poll.window, &self.geometry) {
+                        let baud_rate = session.believed_baud_rate();
+                        let ended = self.deliver(poll, acquired, baud_rate);
+                        self.end_poll(poll, ended, skipped);
+                    }
                 }
-                Err(error) => self.fail(poll, ExchangeError::Command(error.clone()))?,
-            };
-            self.end_poll(poll, ended, skipped);
+            }
+            Err(error) => self.fail_streamed(&error)?,
         }
         self.schedules.drop_unread();
         let outcome = match self.schedules.stream(self.scan_time) {
@@ -84,5 +98,12 @@ impl Service<'_> {
         };
         ignore_command_errors(outcome)?;
         Ok(true)
+    }
+
+    /// Delivers a scan to the schedule of `poll`.
+    #[inline(never)]
+    fn deliver(&mut self, poll: DuePoll, acquired: Acquired, baud_rate: Option<BaudRate>) -> Ended {
+        let scan = self.scan_from(poll.window, acquired);
+        self.schedules.deliver(poll, scan, baud_rate)
     }
 }

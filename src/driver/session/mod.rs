@@ -168,13 +168,18 @@ impl Session {
 
     /// Waits for bytes that no command asks for. A scan of a stream can be
     /// [taken](Self::take_streamed) then; otherwise the session [needs a probe](Self::needs_probe).
+    #[inline(always)]
     pub(crate) fn poll_unasked(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), LinkError>> {
-        if self.is_streaming()
-            && let Some(mut scip2) = self.scip2()
-        {
-            return scip2.poll_streamed(cx);
+        if self.is_streaming() {
+            return self.poll_streamed(cx);
         }
         self.scip1.line.transport.poll_idle(cx)
+    }
+
+    /// Waits for what a stream sends.
+    #[cold]
+    fn poll_streamed(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), LinkError>> {
+        self.scip2().map_or(Poll::Pending, |mut scip2| scip2.poll_streamed(cx))
     }
 
     /// Returns true if the protocol has streams: scans that the sensor sends without being asked again.
