@@ -76,7 +76,7 @@ impl Cell {
             }
             let begun = end - period;
             let unit = if kind.is_fine { 1e-6 } else { 1e-3 };
-            let wrap = if kind.is_fine { 18_446_744_073_709.551 } else { WRAP };
+            let wrap = if kind.is_fine { 1.8e13 } else { WRAP };
             let stamp = ((begun * rate + offset) / unit).floor() * unit;
             let stamp = Duration::from_secs_f64(stamp.rem_euclid(wrap));
             let sent = ((end + delay - phase) / FRAME).ceil() * FRAME + phase;
