@@ -119,7 +119,7 @@ pub(crate) struct Session {
     wanted: Wanted,
     scip1: Scip1,
     /// `Some` while the sensor speaks SCIP 2.
-    scip2: Option<scip2::State>,
+    scip2: Option<Box<scip2::State>>,
 }
 
 impl Session {
@@ -195,7 +195,7 @@ impl Session {
 
     /// Returns true while the sensor does, or something that it sent is not yet taken.
     pub(crate) fn is_streaming(&self) -> bool {
-        self.scip2.as_ref().is_some_and(scip2::State::has_streamed)
+        self.scip2.as_ref().is_some_and(|state| state.has_streamed())
     }
 
     /// Starts a stream that holds the window, unless one runs. Where a protocol has none, does
@@ -316,7 +316,7 @@ impl Session {
         if self.wanted.protocol != Some(Protocol::Scip2) {
             return Ok(());
         }
-        let state = self.scip2.insert(scip2::State::new(self.wanted.intensities));
+        let state = self.scip2.insert(Box::new(scip2::State::new(self.wanted.intensities)));
         let outcome = Scip2 { line: &mut self.scip1.line, state }.enter().await;
         if outcome.is_err() {
             self.scip2 = None;
@@ -329,7 +329,7 @@ impl Session {
         if self.wanted.protocol == Some(Protocol::Scip1) {
             return Err(LinkError::Silent(error).into());
         }
-        let state = self.scip2.insert(scip2::State::new(self.wanted.intensities));
+        let state = self.scip2.insert(Box::new(scip2::State::new(self.wanted.intensities)));
         Scip2 { line: &mut self.scip1.line, state }.stop().await
     }
 
