@@ -6,6 +6,7 @@ use tokio::sync::oneshot;
 
 use super::writer::Times;
 use tokio_scip::Scan;
+use tokio_scip::protocol::Protocol;
 
 /// Bytes that a waiting item takes besides its content.
 const OVERHEAD_BYTES: usize = 128;
@@ -32,7 +33,13 @@ impl WriteItem {
     pub(super) fn weight(&self) -> usize {
         OVERHEAD_BYTES
             + match self {
-                Self::Scan(scan) => scan.len() * size_of::<u16>(),
+                Self::Scan(scan) => match scan.geometry().protocol() {
+                    Protocol::Scip1 => scan.len() * size_of::<u16>(),
+                    Protocol::Scip2 => {
+                        let intensities = scan.intensities().unwrap_or_default().len();
+                        (scan.len() + intensities) * size_of::<u32>()
+                    }
+                },
                 Self::Reply { bytes, .. } => bytes.len(),
                 Self::Event { json, .. } => json.len(),
                 Self::Metadata(_) | Self::Finish(_) => 0,
