@@ -32,8 +32,8 @@
 //!
 //! This runs without hardware, on the emulated sensor of the crate `urg-emulator`. The driver finds out
 //! which protocol a sensor speaks: the URG-04LX and its contemporaries SCIP 1.1, later models
-//! (UTM-30LX, UST-10LX) SCIP 2. [`Sensor::geometry`] tells what it measures. In SCIP 2 the driver asks
-//! for each scan (`GD`); intensities and the sensor's time stamps are not supported yet.
+//! (UTM-30LX, UST-10LX) SCIP 2. [`Sensor::geometry`] tells what it measures, and
+//! [`Scan::intensities`] are for a UTM or UST, on request.
 //!
 //! # Where to find what
 //!

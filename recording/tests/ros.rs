@@ -3,9 +3,29 @@
 use std::f64::consts::PI;
 use std::time::{Duration, SystemTime};
 
+use tokio_scip::{Scan, Window};
 use urg_recording::ros::{
-    DiagnosticLevel, DiagnosticStatus, Transform, write_diagnostics, write_transforms,
+    DiagnosticLevel, DiagnosticStatus, Transform, write_diagnostics, write_scan, write_transforms,
 };
+
+#[test]
+fn a_scan_ends_with_its_intensities_if_it_has_any() {
+    let tail = |intensities: &[u32]| {
+        let scan = Scan::builder(Window::new(383..=384).unwrap(), [1000, 2000]);
+        let scan = scan.intensities(intensities).build().unwrap();
+        let mut out = Vec::new();
+        write_scan(&mut out, &scan, SystemTime::UNIX_EPOCH, "laser");
+        out.split_off(4 + 8 + 12 + 7 * 4)
+    };
+    let sequence = |numbers: &[f32]| {
+        let length = numbers.len() as u32;
+        let numbers = numbers.iter().flat_map(|number| number.to_le_bytes());
+        length.to_le_bytes().into_iter().chain(numbers).collect::<Vec<_>>()
+    };
+    let ranges = sequence(&[1.0, 2.0]);
+    assert_eq!(tail(&[]), [&*ranges, &sequence(&[])].concat());
+    assert_eq!(tail(&[7, 262_143]), [&*ranges, &sequence(&[7.0, 262_143.0])].concat());
+}
 
 #[test]
 fn a_transform_is_seven_aligned_numbers() {

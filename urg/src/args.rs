@@ -27,6 +27,11 @@ pub(crate) struct LinkArgs {
     /// 5.6 m. `scip1` refuses a sensor that speaks SCIP 2.
     #[arg(long, value_enum, value_name = "NAME", default_value_t = ProtocolName::Auto)]
     pub(crate) protocol: ProtocolName,
+    /// Measure intensities, too, with a UTM or UST
+    ///
+    /// JSON, CSV, the table and the messages of ROS have them. They double the length of a reply.
+    #[arg(long)]
+    pub(crate) intensity: bool,
     /// Wait for the sensor to appear, without a time limit
     #[arg(long)]
     pub(crate) wait: bool,

@@ -6,8 +6,8 @@ use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
 use urg_emulator::{Emulator, Model};
 
-use super::formats::scans;
-use super::program::run;
+use super::formats::{scans, values};
+use super::program::{Scratch, run};
 use super::web::{Served, on_tcp};
 
 /// Returns the port of an emulated UST-10LX.
@@ -97,6 +97,94 @@ fn a_picture_is_as_large_as_the_room() {
     assert!(!svg.contains(">8 m<"), "{svg}");
     let csv = run(&format!("scan {port} --format csv"), 0).stdout;
     assert!(csv.lines().any(|row| row.ends_with(",65533")), "{csv}");
+}
+
+/// Intensity that the emulator has for each of these values.
+fn reflected(values: &[u64]) -> Vec<Value> {
+    values.iter().map(|value| (20_000_000 / (value + 1000)).into()).collect()
+}
+
+#[test]
+fn intensities_are_in_each_format_if_asked_for() {
+    let (_runtime, port) = ust();
+    let scan = |port: &str, options: &str| run(&format!("scan {port} {options}"), 0).stdout;
+    let scanned = scans(&scan(&port, "--format json --intensity")).remove(0);
+    assert_eq!(scanned["intensities"], Value::Array(reflected(&values(&scanned))));
+    let without = scans(&scan(&port, "--format json")).remove(0);
+    assert!(without.get("intensities").is_none(), "{without}");
+
+    let csv = run(&format!("stream {port} --format csv --intensity --count 1"), 0).stdout;
+    let mut rows = csv.lines();
+    assert_eq!(rows.next(), Some("sequence,stamp,time,step,angle,range,intensity,code"));
+    assert_eq!(rows.clone().count(), 1081);
+    for row in rows {
+        let row: Vec<_> = row.split(',').collect();
+        let [.., range, intensity, code] = row[..] else { panic!("{row:?}") };
+        let value = if code.is_empty() {
+            (range.parse::<f64>().unwrap() * 1000.0).round() as u64
+        } else {
+            assert_eq!(range, "");
+            code.parse().unwrap()
+        };
+        assert_eq!(intensity, reflected(&[value])[0].to_string(), "{row:?}");
+    }
+    let table = scan(&port, "--intensity");
+    assert!(table.starts_with("step  direction  intensity   distance\n"), "{table}");
+    let point = table.lines().nth(541).unwrap();
+    let [step, _, intensity, metres, "m"] = *point.split_whitespace().collect::<Vec<_>>() else {
+        panic!("{point}")
+    };
+    let value = metres.replace('.', "").parse().unwrap();
+    assert_eq!((step, intensity), ("540", &*reflected(&[value])[0].to_string()));
+
+    let served = Served::start(&format!("{port} --intensity"));
+    let line = served.get("/scans?max=1").line().unwrap();
+    let served = &scans(&line)[0];
+    assert_eq!(served["intensities"], Value::Array(reflected(&values(served))));
+}
+
+#[test]
+fn a_sensor_without_intensities_measures_none() {
+    let scan = run("scan emulated --intensity --format json", 0).stdout;
+    assert!(scans(&scan)[0].get("intensities").is_none(), "{scan}");
+    let csv = run("scan emulated --intensity --format csv-xy", 0).stdout;
+    assert!(csv.lines().next().unwrap().ends_with(",range,intensity,code,x,y"), "{csv}");
+    for row in csv.lines().skip(1) {
+        let row: Vec<_> = row.split(',').collect();
+        assert_eq!((row.len(), row[6]), (10, ""), "{row:?}");
+    }
+    let table = run("scan emulated --intensity", 0).stdout;
+    assert!(table.starts_with("step  direction   distance\n"), "{table}");
+}
+
+#[test]
+fn recorded_messages_of_ros_have_intensities() {
+    let (_runtime, port) = ust();
+    let file = Scratch::mcap("intensities");
+    run(&format!("record {port} {} --intensity --count 3 --compress none", file.path()), 0);
+    let bytes = std::fs::read(file.path()).unwrap();
+    let messages = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap);
+    let is_scan = |message: &mcap::Message<'_>| {
+        let schema = message.channel.schema.as_ref();
+        schema.is_some_and(|schema| schema.name == "sensor_msgs/msg/LaserScan")
+    };
+    let scans: Vec<_> = messages.filter(is_scan).collect();
+    assert_eq!(scans.len(), 3);
+    for scan in scans {
+        let numbers: Vec<[u8; 4]> =
+            scan.data.rchunks(4).rev().map(|bytes| bytes.try_into().unwrap()).collect();
+        let [.., ranges, intensities] = *numbers.rchunks(1082).rev().collect::<Vec<_>>() else {
+            panic!("{} numbers", numbers.len())
+        };
+        for sequence in [ranges, intensities] {
+            assert_eq!(u32::from_le_bytes(sequence[0]), 1081);
+        }
+        for (range, intensity) in ranges.iter().zip(intensities).skip(1) {
+            let [range, intensity] = [range, intensity].map(|bytes| f32::from_le_bytes(*bytes));
+            let value = if range.is_finite() { (range * 1000.0).round() as u64 } else { 65_533 };
+            assert_eq!(Some(f64::from(intensity)), reflected(&[value])[0].as_f64(), "{range}");
+        }
+    }
 }
 
 #[test]

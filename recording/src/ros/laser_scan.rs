@@ -77,8 +77,10 @@ pub fn write_scan(out: &mut Vec<u8>, scan: &Scan, stamp: SystemTime, frame_id: &
     }
     cdr.length(scan.len());
     scan.ranges().for_each(|range| cdr.f32(range));
-    // SCIP 1.1 has no intensities.
-    cdr.length(0);
+    let intensities = scan.intensities().unwrap_or_default();
+    cdr.length(intensities.len());
+    // Exact: an intensity has 18 bits.
+    intensities.iter().for_each(|intensity| cdr.f32(*intensity as f32));
 }
 
 /// Decodes a scan.

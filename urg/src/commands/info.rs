@@ -24,6 +24,8 @@ use crate::recording::span::TopicArgs;
 /// scans and the gaps.
 #[derive(Debug, clap::Args)]
 #[command(
+    // It shows no scan.
+    mut_arg("intensity", |option| option.hide(true)),
     after_help = "Examples:\n  urg info /dev/ttyACM0\n  urg info serial:H0713090 --format json"
 )]
 pub(crate) struct Info {

@@ -12,7 +12,12 @@ use crate::port::open::open;
 /// The laser keeps this state after the program exits, until you power-cycle the
 /// sensor or a program asks for scans.
 #[derive(Debug, clap::Args)]
-#[command(allow_missing_positional = true, after_help = "Example:\n  urg laser /dev/ttyACM0 off")]
+#[command(
+    allow_missing_positional = true,
+    // It takes no scan.
+    mut_arg("intensity", |option| option.hide(true)),
+    after_help = "Example:\n  urg laser /dev/ttyACM0 off"
+)]
 pub(crate) struct Laser {
     #[command(flatten)]
     port: PortArg,

@@ -395,7 +395,7 @@ mod tests {
                         time_offset: 0.0, angle_min: -3.14, angle_max: 3.14, skip: 0, cluster: 1";
         let publish = launched(ethernet, &[]).unwrap();
         assert_eq!(ports(&publish), ["tcp://192.168.0.10:10940"]);
-        assert_eq!(publish.skip, Some(0));
+        assert_eq!((publish.skip, publish.link.intensity), (Some(0), false));
         assert_eq!(publish.window.window(Window::DETECTION).unwrap(), Window::DETECTION);
         let names = publish.names.resolve(&publish.sensors()).unwrap().remove(0);
         assert_eq!(
@@ -403,10 +403,11 @@ mod tests {
             ("/urg_node2".into(), "/scan_1st".into(), "laser_1st".into())
         );
         let serial = "serial_port: '/dev/ttyACM0', serial_baud: 115200, angle_min: -1.570797, \
-                      angle_max: 1.570797, skip: 3, cluster: 2";
+                      angle_max: 1.570797, skip: 3, cluster: 2, publish_intensity: true";
         let publish = launched(serial, &[]).unwrap();
         assert_eq!(ports(&publish), ["/dev/ttyACM0"]);
         assert_eq!((publish.skip, publish.link.baud), (Some(3), "115200".parse().ok()));
+        assert!(publish.link.intensity);
         let window = publish.window.window(Window::DETECTION).unwrap();
         assert_eq!((window.start(), window.end(), window.cluster_count()), (128, 640, 2));
     }

@@ -61,11 +61,12 @@ impl ScanOnce {
         let sensor = open(&port, &self.link, Delivery::Newest).await?;
         let at_port = |error| Failure::at(&port, &error);
         let scan = sensor.scan(window).await.map_err(at_port)?;
+        let intensity = self.link.intensity;
         let text = match self.format {
             ScanFormat::Table => table::table(&scan, &sensor.version().await.map_err(at_port)?),
             ScanFormat::Json => json_line(&scan)?,
-            ScanFormat::Csv => csv(&scan, Columns::Polar),
-            ScanFormat::CsvXy => csv(&scan, Columns::Cartesian),
+            ScanFormat::Csv => csv(&scan, Columns { intensity, cartesian: false }),
+            ScanFormat::CsvXy => csv(&scan, Columns { intensity, cartesian: true }),
             ScanFormat::Svg => svg::svg(&scan, &sensor.version().await.map_err(at_port)?),
         };
         print(text).await

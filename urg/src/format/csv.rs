@@ -7,17 +7,17 @@ use tokio_scip::scan::Ray;
 use tokio_scip::{Measurement, Point, Scan};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Columns {
-    Polar,
-    Cartesian,
+pub(crate) struct Columns {
+    pub(crate) intensity: bool,
+    /// True if there are x and y.
+    pub(crate) cartesian: bool,
 }
 
 impl Columns {
-    pub(crate) const fn header(self) -> &'static str {
-        match self {
-            Self::Polar => "sequence,stamp,time,step,angle,range,code\n",
-            Self::Cartesian => "sequence,stamp,time,step,angle,range,code,x,y\n",
-        }
+    pub(crate) fn header(self) -> String {
+        let intensity = if self.intensity { "intensity," } else { "" };
+        let cartesian = if self.cartesian { ",x,y" } else { "" };
+        format!("sequence,stamp,time,step,angle,range,{intensity}code{cartesian}\n")
     }
 }
 
@@ -30,6 +30,8 @@ CSV has one row a point, with the columns
   step      the first step of the point, as the model counts
   angle     its direction in radians, counter-clockwise from the front
   range     metres; empty where there is no distance
+  intensity with --intensity: strength of the reflection, in the sensor's own
+            unit; empty if the sensor has none
   code      empty where there is a distance; else the value that the sensor
             sent: an error code of its model, or one above all distances
 csv-xy adds
@@ -42,6 +44,7 @@ pub(crate) fn rows(scan: &Scan, columns: Columns) -> String {
     let stamp = format!("{}.{:06}", stamp.as_secs(), stamp.subsec_micros());
     let mut time = since_1970(scan.first_ray_stamp()).unwrap_or_default();
     let mut rows = String::with_capacity(scan.len() * 64);
+    let mut intensities = scan.intensities().unwrap_or_default().iter();
     for ray in scan.rays() {
         let Ray { step, angle, measurement, .. } = ray;
         // Writing to a `String` is infallible.
@@ -49,11 +52,20 @@ pub(crate) fn rows(scan: &Scan, columns: Columns) -> String {
         let _ = write!(rows, "{}.{:06},", time.as_secs(), time.subsec_micros());
         time = time.saturating_add(scan.time_increment());
         let _ = write!(rows, "{step},{angle:.6},");
-        let _ = match measurement {
-            Measurement::Distance(mm) => write!(rows, "{}.{:03},", mm / 1000, mm % 1000),
-            other => write!(rows, ",{}", other.value()),
-        };
-        if columns == Columns::Cartesian {
+        if let Measurement::Distance(mm) = measurement {
+            let _ = write!(rows, "{}.{:03}", mm / 1000, mm % 1000);
+        }
+        rows.push(',');
+        if columns.intensity {
+            if let Some(intensity) = intensities.next() {
+                let _ = write!(rows, "{intensity}");
+            }
+            rows.push(',');
+        }
+        if measurement.distance().is_none() {
+            let _ = write!(rows, "{}", measurement.value());
+        }
+        if columns.cartesian {
             let _ = match ray.point() {
                 Some(Point { x, y, .. }) => write!(rows, ",{x:.3},{y:.3}"),
                 None => write!(rows, ",,"),

@@ -9,10 +9,16 @@ use crate::plot::summary::ScanSummary;
 
 /// Formats the table, with the sensor's name in the summary.
 pub(crate) fn table(scan: &Scan, version: &Version) -> String {
-    let mut text = String::from("step  direction   distance\n");
+    let intensities = scan.intensities();
+    let heading = if intensities.is_some() { "  intensity" } else { "" };
+    let mut text = format!("step  direction{heading}   distance\n");
+    let mut intensities = intensities.unwrap_or_default().iter();
     for ray in scan.rays() {
         // Writing to a `String` is infallible.
         let _ = write!(text, "{:>4} {:>8.2}°  ", ray.step, ray.angle.to_degrees());
+        if let Some(intensity) = intensities.next() {
+            let _ = write!(text, "{intensity:>9}  ");
+        }
         let _ = match ray.measurement {
             Measurement::Distance(mm) => writeln!(text, "{:>3}.{:03} m", mm / 1000, mm % 1000),
             other => writeln!(text, "        - {}", reason(other)),

@@ -32,7 +32,10 @@ pub(crate) fn begin(
     link: &LinkArgs,
     delivery: Delivery,
 ) -> Result<Sensor, Failure> {
-    let mut builder = Sensor::builder().depth(delivery.ring_depth()).wait_for_sensor(link.wait);
+    let mut builder = Sensor::builder()
+        .depth(delivery.ring_depth())
+        .intensities(link.intensity)
+        .wait_for_sensor(link.wait);
     if let Some(rate) = link.baud {
         builder = builder.baud_rate(rate);
     }

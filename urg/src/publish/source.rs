@@ -117,7 +117,8 @@ impl Source {
         let (stamp, offset) = (scan.first_ray_stamp(), self.time_offset);
         let by = Duration::try_from_secs_f64(offset.abs()).unwrap_or_default();
         let moved = if offset < 0.0 { stamp.checked_sub(by) } else { stamp.checked_add(by) };
-        let mut message = Vec::with_capacity(128 + self.names.frame.len() + 4 * scan.len());
+        let numbers = scan.len() + scan.intensities().unwrap_or_default().len();
+        let mut message = Vec::with_capacity(128 + self.names.frame.len() + 4 * numbers);
         ros::write_scan(&mut message, scan, moved.unwrap_or(stamp), &self.names.frame);
         message
     }

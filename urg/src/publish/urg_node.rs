@@ -27,22 +27,16 @@ impl UrgNodeParameters {
     /// Takes a parameter. The last value of a name applies.
     pub(super) fn take(&mut self, name: &str, value: Option<&str>) -> Result<Effect, String> {
         let names = ["ip_address", "ip_port", "serial_port", "serial_baud"];
-        let names = names.iter().chain(&["angle_min", "angle_max", "skip"]);
+        let names = names.iter().chain(&["angle_min", "angle_max", "skip", "publish_intensity"]);
         if let Some(known) = names.copied().find(|known| *known == name) {
             // The files have an empty `ip_address` for a serial port.
             let value = value.ok_or_else(|| format!("expected one value for {name}"))?;
             self.0.insert(known, value.to_owned());
             return Ok(Effect::Taken);
         }
-        let is_off = value.is_some_and(|value| {
-            ["false", "no", "off", "n"].contains(&value.to_ascii_lowercase().as_str())
-        });
+        let is_off = value.and_then(boolean) == Some(false);
         Ok(match name {
-            "calibrate_time"
-            | "synchronize_time"
-            | "publish_intensity"
-            | "publish_multiecho"
-            | "get_detailed_status"
+            "calibrate_time" | "synchronize_time" | "publish_multiecho" | "get_detailed_status"
                 if is_off =>
             {
                 Effect::Taken
@@ -50,7 +44,6 @@ impl UrgNodeParameters {
             "calibrate_time" | "synchronize_time" => {
                 Effect::Nothing("the stamp is the time of the first ray, see --time-offset")
             }
-            "publish_intensity" => Effect::Nothing("scans have no intensities"),
             "publish_multiecho" => Effect::Nothing("scans have the first echo"),
             "get_detailed_status" => Effect::Nothing("no safety scanner is supported"),
             "error_limit" | "error_reset_period" => {
@@ -85,7 +78,21 @@ impl UrgNodeParameters {
             }
         }
         options.extend(value("skip").map(|scans| format!("--skip={scans}")));
+        if let Some(text) = value("publish_intensity") {
+            let expected = "expected true or false for publish_intensity";
+            let is_on = boolean(text).ok_or_else(|| format!("{expected}, found `{text}`"))?;
+            options.extend(is_on.then(|| "--intensity".to_owned()));
+        }
         Ok(options)
+    }
+}
+
+/// Boolean of YAML 1.1, as ROS reads it.
+fn boolean(text: &str) -> Option<bool> {
+    match text.to_ascii_lowercase().as_str() {
+        "true" | "yes" | "on" | "y" => Some(true),
+        "false" | "no" | "off" | "n" => Some(false),
+        _ => None,
     }
 }
 
@@ -125,10 +132,19 @@ mod tests {
     }
 
     #[test]
+    fn intensities_are_on_or_off() {
+        assert_eq!(options(&[("publish_intensity", "True")]), Ok(vec!["--intensity".to_owned()]));
+        let twice = [("publish_intensity", "true"), ("publish_intensity", "off")];
+        assert_eq!(options(&twice), Ok(Vec::new()));
+        let error = options(&[("publish_intensity", "much")]).unwrap_err();
+        assert!(error.contains("expected true or false"), "{error}");
+    }
+
+    #[test]
     fn what_changes_nothing_is_told_unless_it_is_off() {
         let mut taken = UrgNodeParameters::default();
         assert_eq!(taken.take("calibrate_time", Some("False")), Ok(Effect::Taken));
-        for name in ["calibrate_time", "publish_multiecho", "publish_intensity"] {
+        for name in ["calibrate_time", "publish_multiecho"] {
             let effect = taken.take(name, Some("true")).unwrap();
             assert!(matches!(effect, Effect::Nothing(_)), "{name}");
         }

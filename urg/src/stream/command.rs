@@ -73,7 +73,9 @@ NDJSON has one object a line. An object with the field \"event\" is an event
   reconnects       number of reconnects before this scan; it rises at the first
                    scan after each
   values           as the sensor sent them: below 20 an error code, else mm
-  ranges           metres; null where there is no distance";
+  ranges           metres; null where there is no distance
+  intensities      with --intensity, if the sensor has them: strengths of the
+                   reflections, in the sensor's own unit";
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum StreamFormat {
@@ -92,10 +94,9 @@ impl StreamFormat {
         if io::stdout().is_terminal() { Self::Summary } else { Self::Ndjson }
     }
 
-    fn columns(self) -> Option<Columns> {
+    fn columns(self, intensity: bool) -> Option<Columns> {
         match self {
-            Self::Csv => Some(Columns::Polar),
-            Self::CsvXy => Some(Columns::Cartesian),
+            Self::Csv | Self::CsvXy => Some(Columns { intensity, cartesian: self == Self::CsvXy }),
             Self::Summary | Self::Ndjson => None,
         }
     }
@@ -115,13 +116,14 @@ impl Stream {
         let (sensor, mut feed) = interrupt.unless(opening).await?;
         let mut reporter = Reporter::new(port, sensor).with_rate(window, rate);
         let format = self.format.unwrap_or_else(StreamFormat::default_for_stdout);
-        if let Some(columns) = format.columns() {
+        let columns = format.columns(self.link.intensity);
+        if let Some(columns) = columns {
             print(columns.header()).await?;
         }
         let mut times = RecentTimes::default();
         let write = async |update: Update| {
             reporter.report(&update);
-            match (format.columns(), &update) {
+            match (columns, &update) {
                 (None, _) if format == StreamFormat::Ndjson => print(update.line(None)?).await,
                 (Some(columns), Update::Scan(scan)) => print(csv::rows(scan, columns)).await,
                 (None, Update::Scan(scan)) => {
