@@ -1,7 +1,6 @@
 //! `urg repair`, `--split`, and recordings that end because of a write error.
 
 use std::fs;
-use std::io::Cursor;
 use std::process::Command;
 
 use serde_json::Value;
