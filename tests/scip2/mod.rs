@@ -1,5 +1,6 @@
 //! Sensors of SCIP 2 through the same `Sensor`: found without being told, each scan right and once.
 
+mod disturbances;
 mod histories;
 mod intensities;
 mod refusals;

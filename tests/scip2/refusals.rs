@@ -8,9 +8,9 @@ use tokio_scip::{Error, Rate, ScanStream, Sensor, Window};
 
 use crate::common::builder;
 
-const VERSION: &str = "00P\nVEND:Hokuyo Automatic Co., Ltd.;;\nPROD:UST-10LX;M\nFIRM:4.1.0;I\n\
+pub(super) const VERSION: &str = "00P\nVEND:Hokuyo Automatic Co., Ltd.;;\nPROD:UST-10LX;M\nFIRM:4.1.0;I\n\
     PROT:SCIP 2.2;P\nSERI:H0000001;6";
-const PARAMETERS: &str = "00P\nMODL:UST-10LX;D\nDMIN:23;7\nDMAX:60000;J\nARES:1440;^\nAMIN:0;?\n\
+pub(super) const PARAMETERS: &str = "00P\nMODL:UST-10LX;D\nDMIN:23;7\nDMAX:60000;J\nARES:1440;^\nAMIN:0;?\n\
     AMAX:1080;Z\nAFRT:540;0\nSCAN:2400;U";
 
 /// Returns a sensor that answers within a millisecond, and knows neither `GD` nor `MD`.

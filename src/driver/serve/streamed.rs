@@ -28,7 +28,7 @@ impl Service<'_> {
             return Ok(Some(false));
         }
         let Some(wish) = self.schedules.stream(self.scan_time) else { return Ok(None) };
-        if !session.can_stream(wish, self.scan_time) {
+        if !session.can_stream(wish) {
             return Ok(None);
         }
         self.schedules.begin_stream(self.scan_time);

@@ -188,9 +188,8 @@ impl Session {
     }
 
     /// Returns true if the line carries the scans of this stream.
-    pub(crate) fn can_stream(&mut self, wish: StreamWish, revolution: Duration) -> bool {
-        let time = revolution * (u32::from(wish.skipped) + 1);
-        self.scip2().is_some_and(|scip2| scip2.wire_time(wish.window) <= time)
+    pub(crate) fn can_stream(&mut self, wish: StreamWish) -> bool {
+        self.scip2().is_some_and(|scip2| scip2.can_stream(wish))
     }
 
     /// Returns true while the sensor does, or something that it sent is not yet taken.

@@ -16,6 +16,7 @@ use self::exchange::{Answer, accepted, text};
 use self::stream::{Running, Waiting};
 use super::super::failure::{ExchangeError, LinkError};
 use super::super::motor_clock::Revolution;
+use super::super::schedule::StreamWish;
 use super::super::sensor_clock::SensorClock;
 use super::super::transport::{Expected, Limits, ReplyTimes};
 use super::errors::{malformed, no_reply, not_confirmed, on_behalf_of};
@@ -235,8 +236,12 @@ impl Scip2<'_> {
     /// Asks for the newest scan, or takes the next one of the stream.
     pub(super) async fn acquire(&mut self, window: Window) -> Result<Acquired, ExchangeError> {
         self.line.shared.counters.count_poll();
-        if self.state.is_streaming() {
-            return self.acquire_streamed(window).await;
+        if let Some(running) = &self.state.running {
+            let wish = StreamWish { window, skipped: running.skipped };
+            // Otherwise the stream would become too slow for its readers: the request ends it.
+            if self.can_stream(wish) {
+                return self.acquire_streamed(wish).await;
+            }
         }
         if self.state.has_stray_frames {
             self.stop().await?;

@@ -33,21 +33,29 @@ const LONGEST_GAP: Duration = Duration::from_secs(10);
 pub(super) struct Running {
     request: Request,
     window: Window,
-    skipped: u8,
+    pub(super) skipped: u8,
 }
 
 /// What a stream has sent, and the driver has not yet delivered: scans and errors.
 pub(super) type Waiting = VecDeque<Result<Streamed, ErrorKind>>;
 
 impl Scip2<'_> {
-    /// Time that a scan of a stream occupies the line.
-    pub(in super::super) fn wire_time(&self, window: Window) -> Duration {
+    /// Returns true if the line carries the scans of a stream that holds this one, and the window of
+    /// the one that runs.
+    pub(in super::super) fn can_stream(&self, wish: StreamWish) -> bool {
+        let StreamWish { mut window, skipped } = wish;
+        if let Some(running) = &self.state.running {
+            window = running.window.hull(&window);
+        }
         let baud_rate = self.line.believed_baud_rate();
         let reply_len = || {
             let command = Command::Stream(Stream::new(self.state.data, steps(window).ok()?));
             Request::new(command, None).reply_len()
         };
-        baud_rate.zip(reply_len()).map_or(Duration::ZERO, |(rate, bytes)| rate.wire_time(bytes))
+        let wire_time = baud_rate
+            .zip(reply_len())
+            .map_or(Duration::ZERO, |(rate, bytes)| rate.wire_time(bytes));
+        wire_time <= self.state.geometry.revolution() * (u32::from(skipped) + 1)
     }
 
     /// Starts a stream that holds the window, unless such a one runs.
@@ -68,8 +76,10 @@ impl Scip2<'_> {
         let stream = stream.map_err(|error| Error::other(error).into_kind());
         let command = Command::Stream(stream.map_err(ExchangeError::Command)?);
         let request = Request::new(command, self.state.labels.next_label());
-        let answer = self.ask(&request, self.latency(&command)).await?;
-        let answer = accepted(&command, answer)?;
+        let answer = self.ask(&request, self.latency(&command)).await;
+        // Without an answer, nothing tells whether the sensor sends one.
+        self.state.has_stray_frames |= answer.is_err();
+        let answer = accepted(&command, answer?)?;
         let running = Running { request, window, skipped };
         self.state.running = Some(running);
         // The first answer may be lost, and a scan come in its place.
@@ -91,21 +101,20 @@ impl Scip2<'_> {
         }
     }
 
-    /// Waits for the next scan of the stream, and returns its part in `window`. It stays
+    /// Waits for the next scan of the stream, and returns its part in the window of `wish`. It stays
     /// [waiting](State::waiting) as a whole, too.
     pub(super) async fn acquire_streamed(
         &mut self,
-        window: Window,
+        wish: StreamWish,
     ) -> Result<Acquired, ExchangeError> {
-        let skipped = self.state.running.as_ref().map_or(0, |running| running.skipped);
-        self.stream(StreamWish { window, skipped }).await?;
+        self.stream(wish).await?;
         loop {
             poll_fn(|cx| self.poll_frame(cx)).await?;
             match self.state.waiting.back() {
                 Some(Err(error)) => return Err(ExchangeError::Command(error.clone())),
                 // A scan that had been sent before the stream was started anew may lack the window.
                 Some(Ok(scan)) => {
-                    if let Some(acquired) = scan.cut(window, &self.state.geometry) {
+                    if let Some(acquired) = scan.cut(wish.window, &self.state.geometry) {
                         return Ok(acquired);
                     }
                 }
@@ -150,10 +159,12 @@ impl Scip2<'_> {
                 is_own = self.state.take_streamed(bytes, &times, &self.line.shared);
             }
             drop(received);
-            if is_own {
+            if !is_own {
+                self.record_stray(wire_len);
+            }
+            if self.state.waiting.len() > before {
                 self.expect_scan();
             } else {
-                self.record_stray(wire_len);
                 self.line.transport.expect_another()?;
             }
         }
