@@ -27,6 +27,10 @@ impl RayOrder {
     /// Makes the stamps of a scan later if it would begin before the latest ray. A sensor that answers
     /// faster than its motor turns shows a revolution twice: then scans overlap.
     pub(crate) fn arrange(&mut self, scan: &mut Scan) {
+        if self.latest.is_some_and(|(requested, _)| scan.meta.requested_at < requested) {
+            // A scan of a stream, older than one that was asked for.
+            return;
+        }
         let clock = scan.meta.sensor_clock;
         if clock.is_some() && std::mem::replace(&mut self.clock, clock) == clock {
             // Another window of the same revolution.

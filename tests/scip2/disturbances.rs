@@ -1,14 +1,14 @@
-//! What disturbs a stream of scans: single scans on a slow line, and a sensor that sends no
-//! scans.
+//! What disturbs a stream of scans: the laser's commands, probes, single scans, slow lines, and a
+//! sensor that sends no scans.
 
 use std::time::Duration;
 
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader, DuplexStream, duplex, split};
 use tokio::sync::mpsc;
-use tokio::time::{Instant, timeout};
+use tokio::time::{Instant, sleep, timeout};
 use tokio_scip::protocol::Protocol;
 use tokio_scip::{BaudRate, ErrorKind, Rate, Window};
-use urg_emulator::{Emulator, Firmware, Model};
+use urg_emulator::{Emulator, Fault, Faults, Firmware, Model};
 
 use super::refusals::{PARAMETERS, VERSION};
 use super::{next, numbered};
@@ -16,6 +16,55 @@ use crate::common::builder;
 
 fn commands(emulator: &Emulator, head: &[u8]) -> usize {
     emulator.log().iter().filter(|line| line.line.starts_with(head)).count()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_laser_that_was_switched_off_stays_off() {
+    let emulator = numbered(Model::Ust10lx).build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+    next(&mut stream).await;
+    // Scans come before the answer, and nobody reads them.
+    emulator.set_faults(Faults::none().every(Fault::Late(Duration::from_millis(60))));
+    sleep(Duration::from_secs(1)).await;
+    let dropping = async {
+        sleep(Duration::from_millis(30)).await;
+        drop(stream);
+    };
+    let (outcome, ()) = tokio::join!(sensor.laser_off(), dropping);
+    outcome.unwrap();
+    sleep(Duration::from_secs(1)).await;
+    assert!(!emulator.is_laser_on());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_stream_switches_no_laser_on_that_is_to_be_off() {
+    let emulator = numbered(Model::Ust10lx).build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+    next(&mut stream).await;
+    emulator.set_faults(Faults::none().on("QT", Fault::Lost));
+    let error = sensor.laser_off().await.unwrap_err();
+    assert!(matches!(error.kind(), ErrorKind::Timeout { .. }), "{error}");
+    emulator.set_faults(Faults::none());
+    for _ in 0..500 {
+        assert!(!emulator.is_laser_on());
+        sleep(Duration::from_millis(10)).await;
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_stream_is_not_probed() {
+    let emulator = numbered(Model::Urg04lxUg01).build();
+    let probing = builder().idle_probe(Some(Duration::from_millis(100)));
+    let sensor = probing.connect(emulator.clone()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(1.0)).await.unwrap();
+    sleep(Duration::from_secs(2)).await;
+    let before = commands(&emulator, b"");
+    for _ in 0..10 {
+        timeout(Duration::from_secs(3), next(&mut stream)).await.unwrap();
+    }
+    assert_eq!(commands(&emulator, b""), before);
 }
 
 #[tokio::test(start_paused = true)]
@@ -36,6 +85,30 @@ async fn a_single_scan_does_not_slow_a_stream_down() {
         count += 1;
     }
     assert!(count >= 45, "{count}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn single_scans_leave_no_stream_behind() {
+    let emulator = numbered(Model::Ust10lx).build();
+    let sensor = builder().depth(512).connect(emulator.clone()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+    next(&mut stream).await;
+    emulator.set_faults(Faults::none().rate(0.5, Fault::WrongSum).seed(1));
+    for _ in 0..4 {
+        let sensor = sensor.clone();
+        tokio::spawn(async move {
+            loop {
+                let _ = sensor.scan(Window::DETECTION).await;
+            }
+        });
+    }
+    sleep(Duration::from_secs(30)).await;
+    let mut latest = None;
+    while let Ok(item) = timeout(Duration::from_millis(1), stream.next()).await {
+        latest = item.unwrap().ok().map(|scan| scan.received_at()).or(latest);
+    }
+    let age = latest.unwrap().elapsed();
+    assert!(age < Duration::from_millis(300), "{age:?}");
 }
 
 /// Returns a sensor that answers its stream's command with `replies`, each 10 ms after the one before

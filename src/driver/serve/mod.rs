@@ -105,7 +105,9 @@ impl Service<'_> {
             // without it.
             let now = Instant::now();
             let heard = session.heard_at();
-            let probe = self.probe_interval.zip(heard).map(|(interval, heard)| heard + interval);
+            // A stream shows it by itself, and a probe would end it.
+            let interval = self.probe_interval.filter(|_| !session.is_streaming());
+            let probe = interval.zip(heard).map(|(interval, heard)| heard + interval);
             // The next command would begin with a probe anyway. Now there may be time for it.
             if session.needs_probe() || probe.is_some_and(|due| due <= now) {
                 let outcome = Box::pin(self.probe(session)).await;
@@ -125,6 +127,7 @@ impl Service<'_> {
                 let is_served = match latest {
                     Turn::Request => match self.queue.pop()? {
                         Some(request) => {
+                            self.deliver_waiting(session)?;
                             Box::pin(self.serve_request(session, request)).await?;
                             true
                         }

@@ -27,6 +27,10 @@ impl Service<'_> {
         if !self.schedules.is_due() {
             return Ok(Some(false));
         }
+        // It would switch on a laser that is to be off.
+        if self.queue.desired.laser == Some(false) {
+            return Ok(None);
+        }
         let Some(wish) = self.schedules.stream(self.scan_time) else { return Ok(None) };
         if !session.can_stream(wish) {
             return Ok(None);
@@ -63,8 +67,8 @@ impl Service<'_> {
         }
     }
 
-    /// Delivers the next scan of the stream, or its error. Returns false if there is none now. Ends
-    /// the stream if no schedule needs it, and starts it anew if none needs so many scans.
+    /// Delivers what has come of the stream: scans and errors. Returns false if there is nothing now.
+    /// Ends the stream if no schedule needs it, and starts it anew if none needs so many scans.
     pub(super) async fn deliver_streamed(&mut self, session: &mut Session) -> Result<bool, Stop> {
         // A sensor that sends without a pause must not keep other tasks from running.
         consume_budget().await;
@@ -72,25 +76,13 @@ impl Service<'_> {
             Poll::Ready(outcome) => outcome?,
             Poll::Pending => return Ok(false),
         }
-        let Some(next) = session.take_streamed() else { return Ok(false) };
-        match next {
-            Ok(streamed) => {
-                for (poll, skipped) in self.schedules.take_streamed(Instant::now()) {
-                    self.shared.counters.count_poll();
-                    // It may have been sent before the stream had this window.
-                    if let Some(acquired) = streamed.cut(poll.window, &self.geometry) {
-                        let baud_rate = session.believed_baud_rate();
-                        let ended = self.deliver(poll, acquired, baud_rate);
-                        self.end_poll(poll, ended, skipped);
-                    }
-                }
-            }
-            Err(error) => self.fail_streamed(&error)?,
-        }
+        self.deliver_waiting(session)?;
         self.schedules.drop_unread();
         let outcome = match self.schedules.stream(self.scan_time) {
+            // Both would switch the laser on. The command that switches it off ends the stream.
+            _ if self.queue.desired.laser == Some(false) => Ok(()),
             None => session.end_stream().await,
-            Some(wish) if session.is_streaming() && self.streamed != Some(wish.skipped) => {
+            Some(wish) if session.is_streaming() && self.streamed < Some(wish.skipped) => {
                 self.streamed = Some(wish.skipped);
                 session.stream(wish).await
             }
@@ -98,6 +90,28 @@ impl Service<'_> {
         };
         ignore_command_errors(outcome)?;
         Ok(true)
+    }
+
+    /// Delivers what is waiting, so that no newer scan is delivered before it.
+    pub(super) fn deliver_waiting(&mut self, session: &mut Session) -> Result<(), Stop> {
+        while let Some(next) = session.take_streamed() {
+            let streamed = match next {
+                Ok(streamed) => streamed,
+                Err(error) => {
+                    self.fail_streamed(&error)?;
+                    continue;
+                }
+            };
+            for (poll, skipped) in self.schedules.take_streamed(Instant::now()) {
+                self.shared.counters.count_poll();
+                // It may have been sent before the stream had this window.
+                if let Some(acquired) = streamed.cut(poll.window, &self.geometry) {
+                    let ended = self.deliver(poll, acquired, session.believed_baud_rate());
+                    self.end_poll(poll, ended, skipped);
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Delivers a scan to the schedule of `poll`.
