@@ -36,16 +36,19 @@ impl Service<'_> {
             return Ok(None);
         }
         self.schedules.begin_stream(self.scan_time);
-        match session.stream(wish).await {
+        let outcome = session.stream(wish).await;
+        // Of the schedules that are too slow for a stream. The others ask for it again: by `GD` they
+        // could get a scan twice.
+        let is_due = self.schedules.is_due();
+        match outcome {
             Ok(()) => self.streamed = Some(wish.skipped),
             Err(failure) => {
-                let error = command_error(failure)?;
-                self.fail_streamed(&error)?;
+                self.fail_streamed(&command_error(failure)?)?;
                 self.schedules.end_stream();
             }
         }
         self.schedules.publish(&self.shared.counters);
-        Ok(if self.schedules.is_due() { None } else { Some(true) })
+        Ok(if is_due { None } else { Some(true) })
     }
 
     /// Ends the polls of the stream that are due now with an error.

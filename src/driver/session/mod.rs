@@ -213,7 +213,7 @@ impl Session {
 
     /// Ends the stream, if the sensor answers at once, because the driver ends.
     pub(crate) async fn stop_stream(&mut self) {
-        if self.is_streaming()
+        if self.scip2.as_ref().is_some_and(|state| state.may_stream())
             && let Some(mut scip2) = self.scip2()
         {
             let _ = scip2.stop().await;
@@ -266,7 +266,10 @@ impl Session {
     /// measures: it refuses to while its laser is off.
     pub(crate) async fn probe(&mut self) -> Result<bool, ExchangeError> {
         match self.scip2() {
-            Some(mut scip2) => scip2.probe().await.map(Status::is_ok),
+            Some(mut scip2) => {
+                scip2.stop_stray().await?;
+                scip2.probe().await.map(Status::is_ok)
+            }
             None => self.scip1.probe().await,
         }
     }

@@ -175,6 +175,11 @@ impl Scip2<'_> {
         Err(LinkError::Silent(silent).into())
     }
 
+    /// Stops a stream that the sensor may send unknown to this session.
+    pub(super) async fn stop_stray(&mut self) -> Result<(), ExchangeError> {
+        if self.state.has_stray_frames { self.stop().await } else { Ok(()) }
+    }
+
     /// Reads the version once.
     pub(super) async fn version(&mut self) -> Result<VersionReply, ExchangeError> {
         let answer = self.ask_twice(Command::Version).await?;
@@ -243,9 +248,7 @@ impl Scip2<'_> {
                 return self.acquire_streamed(wish).await;
             }
         }
-        if self.state.has_stray_frames {
-            self.stop().await?;
-        }
+        self.stop_stray().await?;
         let command = Command::Latest { data: self.state.data, steps: steps(window)? };
         let answer = accepted(&command, self.exchange(command, self.latency(&command)).await?)?;
         match answer.content {

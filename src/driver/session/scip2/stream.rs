@@ -67,7 +67,7 @@ impl Scip2<'_> {
             }
             window = running.window.hull(&window);
         }
-        if self.state.is_streaming() || self.state.has_stray_frames {
+        if self.state.may_stream() {
             let latest = self.state.latest;
             self.stop().await?;
             self.state.latest = latest;
@@ -186,6 +186,11 @@ impl Scip2<'_> {
 impl State {
     pub(super) fn is_streaming(&self) -> bool {
         self.running.is_some()
+    }
+
+    /// Returns true if the sensor sends a stream, or may do so.
+    pub(in super::super) fn may_stream(&self) -> bool {
+        self.is_streaming() || self.has_stray_frames
     }
 
     /// Returns true if a stream runs, or if something of it is waiting.
