@@ -27,8 +27,9 @@ pub enum StampQuality {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ScanTimes {
-    /// When the `G` was sent, on tokio's clock, which a test may pause. Never decreases from one
-    /// scan to the next.
+    /// When the `G` was sent, on tokio's clock, which a test may pause. For a scan that a sensor of
+    /// SCIP 2 sends on its own, when the driver began to wait for it. Never decreases from one scan to
+    /// the next of a stream.
     pub requested_at: Instant,
     /// The same moment as [`Scan::first_ray_stamp`], on tokio's clock. Use it to compare the scan
     /// with other events in your service, whatever happens to the wall clock. A replay has the
@@ -55,7 +56,8 @@ impl Scan {
     /// [`Point::offset`](super::Point::offset).
     ///
     /// SCIP 1.1 has no time stamps, so this one is computed. The motor turns
-    /// counter-clockwise, and a revolution begins and ends at the rear (-180 degrees). The
+    /// counter-clockwise, and a revolution of a URG begins and ends at the rear (-180 degrees), that of
+    /// another model at its last step. The
     /// reply begins when a revolution ends, so the first point was measured
     /// `1 - (angle_min + pi) / (2 pi)` of a [`scan_time`](Self::scan_time) before that end: for
     /// [`Window::DETECTION`](crate::Window::DETECTION) 83 ms.
@@ -76,6 +78,7 @@ impl Scan {
     ///   arrival of the first byte: on USB one or two milliseconds. You can only find it by
     ///   a measurement with the sensor ([`guide::time`](crate::guide::time));
     /// - with [`StampQuality::Motor`], which only a sensor's own USB port has, by 0.5 ms more;
+    /// - with [`StampQuality::SensorClock`] by 0.5 ms more, or later by as much;
     /// - with [`StampQuality::Arrival`] by a USB frame (1 ms), and by the time that a
     ///   busy host does not run the driver. A sensor that answers at once from its memory,
     ///   as it may on RS-232, ended the revolution up to one `scan_time` earlier, on
@@ -121,8 +124,8 @@ impl Scan {
         Duration::from_secs_f64(self.increment())
     }
 
-    /// Time of one revolution of the motor: measured to 0.1 % while stamps rest on the motor
-    /// ([`StampQuality::Motor`]), otherwise the nominal time from the sensor's firmware line, or else
+    /// Time of one revolution of the motor: measured to 0.1 % while stamps rest on the motor or the
+    /// sensor's clock, otherwise the nominal time from the sensor's firmware line, or else
     /// 100 ms (600 rpm).
     pub fn scan_time(&self) -> Duration {
         self.meta.scan_time
