@@ -145,12 +145,16 @@ impl Schedules {
         self.all.iter_mut().for_each(|schedule| schedule.is_streamed = false);
     }
 
-    /// Takes a poll for each schedule that a scan of the stream is for now, with the number of grid
-    /// points skipped.
-    pub(crate) fn take_streamed(&mut self, now: Instant) -> Vec<(DuePoll, u64)> {
+    /// Takes a poll for each schedule that a scan of the stream is for now. Grid points without a scan
+    /// do not count as skipped: the sensor sends when its motor has turned.
+    pub(crate) fn take_streamed(&mut self, now: Instant) -> Vec<DuePoll> {
         let streamed = self.all.iter_mut().filter(|schedule| schedule.is_streamed);
         let due = streamed.filter(|schedule| schedule.due <= now);
-        due.map(|schedule| (schedule.poll(), schedule.advance(now))).collect()
+        due.map(|schedule| {
+            schedule.advance(now);
+            schedule.poll()
+        })
+        .collect()
     }
 
     /// Returns true if a poll is due.

@@ -54,10 +54,10 @@ impl Service<'_> {
     /// Ends the polls of the stream that are due now with an error.
     fn fail_streamed(&mut self, error: &ErrorKind) -> Result<(), Stop> {
         self.shared.counters.fail(self.shared.link.error(error.clone()));
-        for (poll, skipped) in self.schedules.take_streamed(Instant::now()) {
+        for poll in self.schedules.take_streamed(Instant::now()) {
             self.shared.counters.count_poll();
             let ended = self.fail(poll, ExchangeError::Command(error.clone()))?;
-            self.end_poll(poll, ended, skipped);
+            self.end_poll(poll, ended, 0);
         }
         Ok(())
     }
@@ -105,12 +105,12 @@ impl Service<'_> {
                     continue;
                 }
             };
-            for (poll, skipped) in self.schedules.take_streamed(Instant::now()) {
+            for poll in self.schedules.take_streamed(Instant::now()) {
                 self.shared.counters.count_poll();
                 // It may have been sent before the stream had this window.
                 if let Some(acquired) = streamed.cut(poll.window, &self.geometry) {
                     let ended = self.deliver(poll, acquired, session.believed_baud_rate());
-                    self.end_poll(poll, ended, skipped);
+                    self.end_poll(poll, ended, 0);
                 }
             }
         }
