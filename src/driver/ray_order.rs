@@ -27,13 +27,7 @@ impl RayOrder {
     /// Makes the stamps of a scan later if it would begin before the latest ray. A sensor that answers
     /// faster than its motor turns shows a revolution twice: then scans overlap.
     pub(crate) fn arrange(&mut self, scan: &mut Scan) {
-        if self.latest.is_some_and(|(requested, _)| scan.meta.requested_at < requested) {
-            // A scan of a stream, older than one that was asked for.
-            return;
-        }
-        let clock = scan.meta.sensor_clock;
-        if clock.is_some() && std::mem::replace(&mut self.clock, clock) == clock {
-            // Another window of the same revolution.
+        if scan.meta.sensor_clock.is_some() && self.is_out_of_order(scan) {
             return;
         }
         let (revolution, mut first_ray) = (scan.scan_time(), scan.first_ray_at());
@@ -50,5 +44,14 @@ impl RayOrder {
         let swept = window.points() as u32 * u32::from(window.cluster_count());
         let swept = revolution * swept / u32::from(scan.geometry().steps_per_revolution());
         self.latest = Some((scan.meta.requested_at, first_ray + swept));
+    }
+
+    /// Returns true for another window of the latest revolution, and for a scan of a stream that is
+    /// older than one that was asked for.
+    #[cold]
+    fn is_out_of_order(&mut self, scan: &Scan) -> bool {
+        let clock = scan.meta.sensor_clock;
+        self.latest.is_some_and(|(requested, _)| scan.meta.requested_at < requested)
+            || std::mem::replace(&mut self.clock, clock) == clock
     }
 }
