@@ -31,6 +31,8 @@ pub(super) struct SerialPort {
     /// True for the sensor's own USB port, where the baud rate has no effect; false for an
     /// RS-232 adapter.
     is_usb_sensor: bool,
+    /// Tells its opener that it is closed. Dropped after `tty`.
+    closed: Option<oneshot::Sender<()>>,
 }
 
 /// Change of the baud rate, which takes seconds if an adapter hangs.
@@ -57,7 +59,7 @@ impl SerialPort {
         let tty = Tty::open(&builder).map_err(|error| open_error::explain(path, error))?;
         check_baud_rate(&tty, baud_rate).map_err(|source| Error::open(path, source))?;
         let is_usb_sensor = list::is_usb_sensor(path);
-        Ok(Self { tty: Some(tty), change: None, baud_rate, is_usb_sensor })
+        Ok(Self { tty: Some(tty), change: None, baud_rate, is_usb_sensor, closed: None })
     }
 
     /// Returns the terminal, as soon as no thread has it.
@@ -219,7 +221,7 @@ impl Drop for SerialPort {
         self.release();
         // A thread that changes the baud rate closes the port itself.
         if let Some(tty) = self.tty.take() {
-            thread::drop_on(tty);
+            thread::drop_on((tty, self.closed.take()));
         }
     }
 }
@@ -259,13 +261,19 @@ impl AsyncWrite for SerialPort {
 pub(super) struct SerialOpener {
     /// Ends when the latest call has, whose future may have been dropped.
     latest: Option<oneshot::Receiver<()>>,
+    /// Ends when the latest port is closed.
+    closed: Option<oneshot::Receiver<()>>,
 }
 
 impl SerialOpener {
-    /// Returns true while an earlier call, whose future was dropped, is still running.
-    pub(super) fn is_opening(&mut self) -> bool {
-        let running = self.latest.as_mut().map(oneshot::Receiver::try_recv);
-        running == Some(Err(oneshot::error::TryRecvError::Empty))
+    /// Returns true while an earlier call, whose future was dropped, is still running, and while its
+    /// port is open.
+    pub(super) fn is_busy(&mut self) -> bool {
+        let calls = [&mut self.latest, &mut self.closed];
+        calls
+            .into_iter()
+            .flatten()
+            .any(|call| matches!(call.try_recv(), Err(oneshot::error::TryRecvError::Empty)))
     }
 
     /// Opens a port by its path (Unix) or name (Windows), on a thread of its own. If you drop the
@@ -286,7 +294,10 @@ impl SerialOpener {
         let outcome = opened.await;
         self.latest = None;
         let panicked = || io::Error::other("the thread that opens the port has panicked");
-        outcome.unwrap_or_else(|_| Err(Error::open(path, panicked())))
+        let mut port = outcome.unwrap_or_else(|_| Err(Error::open(path, panicked())))?;
+        let (sender, closed) = oneshot::channel();
+        (port.closed, self.closed) = (Some(sender), Some(closed));
+        Ok(port)
     }
 }
 
@@ -295,7 +306,7 @@ impl SerialOpener {
     /// Returns an opener whose call hangs until the sender is dropped.
     pub(super) fn hanging() -> (oneshot::Sender<()>, Self) {
         let (sender, call) = oneshot::channel();
-        (sender, Self { latest: Some(call) })
+        (sender, Self { latest: Some(call), closed: None })
     }
 }
 
@@ -309,10 +320,10 @@ mod tests {
     async fn an_opener_waits_for_its_hanging_call() {
         let (hang, mut opener) = SerialOpener::hanging();
         assert!(opener.open("/dev/gone").now_or_never().is_none());
-        assert!(opener.is_opening());
+        assert!(opener.is_busy());
         drop(hang);
         assert!(opener.open("/dev/gone").await.is_err());
-        assert!(!opener.is_opening());
+        assert!(!opener.is_busy());
     }
 
     /// On a thread of its own, which gives up the privilege to pass the lock.
@@ -333,10 +344,13 @@ mod tests {
         let path = tokio_serial::SerialPort::name(&near).unwrap();
         // It is locked by its maker, and would stay so.
         drop(near);
-        let mut port = SerialOpener::default().open(&path).await.unwrap();
+        let mut opener = SerialOpener::default();
+        let mut port = opener.open(&path).await.unwrap();
         assert!(is_locked(&path));
         port.release();
-        assert!(!is_locked(&path));
+        assert!(!is_locked(&path) && opener.is_busy());
+        drop(port);
+        assert!(!opener.is_busy());
     }
 
     #[test]

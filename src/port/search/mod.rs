@@ -36,7 +36,8 @@ pub(super) trait Ports: Send + 'static {
     /// Lists the ports that the sensor can be on.
     fn candidates(&mut self) -> impl Future<Output = Result<Vec<String>, Error>> + Send;
 
-    /// Opens a port. Fails at once while an earlier call for it hangs, whose future was dropped.
+    /// Opens a port. Fails at once while an earlier call for it hangs: to open it, whose future was
+    /// dropped, or to close it.
     fn open(&mut self, path: &str) -> impl Future<Output = Result<Self::Port, Error>> + Send;
 
     /// Returns true if such a call has ended since the last time.
@@ -104,6 +105,10 @@ impl<P: Ports> Search<P> {
     /// one that was being opened when the future was dropped.
     pub(super) async fn next_port(&mut self) -> Result<P::Port, Error> {
         loop {
+            if self.ports.one_hangs_no_longer() {
+                // The sensor on it may have been silent before.
+                self.start_over();
+            }
             self.listed = self.ports.candidates().await?;
             let pass = self.pass.get_or_insert_default();
             let mut is_busy = false;

@@ -8,10 +8,10 @@ use crate::{Error, ErrorKind};
 /// Serial ports of this machine.
 #[derive(Debug, Default)]
 pub(in crate::port) struct SystemPorts {
-    /// Port that is being opened, and its opener.
+    /// Port that was opened last, and its opener.
     latest: Option<(String, SerialOpener)>,
-    /// Earlier ports whose opening hangs in the system. Each port has its own opener, so that
-    /// a hanging one blocks no other.
+    /// Earlier ports whose opening or closing hangs in the system. Each port has its own opener, so
+    /// that a hanging one blocks no other.
     hanging: Vec<(String, SerialOpener)>,
 }
 
@@ -24,22 +24,31 @@ impl Ports for SystemPorts {
     }
 
     async fn open(&mut self, path: &str) -> Result<SerialPort, Error> {
-        self.one_hangs_no_longer();
+        self.keep_latest();
         if self.hanging.iter().any(|(hanging, _)| hanging == path) {
             // One thread for it is enough.
             return Err(ErrorKind::Busy { port: path.to_owned() }.into());
         }
         let (_, opener) = self.latest.insert((path.to_owned(), SerialOpener::default()));
-        let outcome = opener.open(path).await;
-        self.latest = None;
-        outcome
+        opener.open(path).await
     }
 
     fn one_hangs_no_longer(&mut self) -> bool {
-        self.hanging.extend(self.latest.take());
+        self.keep_latest();
         let before = self.hanging.len();
-        self.hanging.retain_mut(|(_, opener)| opener.is_opening());
+        self.hanging.retain_mut(|(_, opener)| opener.is_busy());
         self.hanging.len() < before
+    }
+}
+
+impl SystemPorts {
+    /// Keeps the latest port if it is not closed by now.
+    fn keep_latest(&mut self) {
+        if let Some((path, mut opener)) = self.latest.take()
+            && opener.is_busy()
+        {
+            self.hanging.push((path, opener));
+        }
     }
 }
 

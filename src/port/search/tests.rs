@@ -235,3 +235,52 @@ async fn o25_a_hanging_port_spares_the_others() {
     assert_eq!(next(&mut search).await, "c");
     assert_eq!(start.elapsed(), 2 * OPEN_LIMIT);
 }
+
+/// A port whose sensor takes no bytes until a time, so that closing it hangs as long, beside one that
+/// is always in use.
+struct Hung {
+    until: Instant,
+    is_closing: bool,
+}
+
+impl Ports for Hung {
+    type Port = ();
+
+    async fn candidates(&mut self) -> Result<Vec<String>, Error> {
+        Ok(vec!["hung".to_owned(), "used".to_owned()])
+    }
+
+    async fn open(&mut self, path: &str) -> Result<(), Error> {
+        match path == "hung" && !self.is_closing {
+            true => Ok(()),
+            false => Err(ErrorKind::Busy { port: path.to_owned() }.into()),
+        }
+    }
+
+    fn one_hangs_no_longer(&mut self) -> bool {
+        let is_closed = self.is_closing && Instant::now() >= self.until;
+        self.is_closing &= !is_closed;
+        is_closed
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_is_found_soon_after_it_takes_bytes_again() {
+    for after in (0..20_000).step_by(50).map(Duration::from_millis) {
+        let until = Instant::now() + after;
+        let mut search = Search::new(String::new(), Hung { until, is_closing: false });
+        loop {
+            if search.next_port().await.is_ok() {
+                // The driver waits for an answer.
+                let answer = tokio::time::sleep_until(until);
+                if timeout(Duration::from_secs(5), answer).await.is_ok() {
+                    break;
+                }
+                search.ports.is_closing = true;
+            } else {
+                let _ = timeout(Duration::from_secs(1), search.port_appears()).await;
+            }
+        }
+        assert!(until.elapsed() <= LISTING_INTERVAL, "{after:?}: {:?}", until.elapsed());
+    }
+}
