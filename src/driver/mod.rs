@@ -12,6 +12,7 @@ mod laser;
 mod motor_clock;
 mod observers;
 mod open;
+mod rarely;
 mod rate_meter;
 mod raw_reply;
 mod ray_order;

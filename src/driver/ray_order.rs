@@ -10,7 +10,7 @@ use tokio::time::Instant;
 use crate::scan::Scan;
 
 /// Tenths of the nominal revolution that a revolution takes at least.
-const SHORTEST_REVOLUTION: u32 = 9;
+const SHORTEST_REVOLUTION: u64 = 9;
 
 /// Latest ray of a link. Its scans are in the order of their polls.
 #[derive(Debug, Default)]
@@ -19,8 +19,9 @@ pub(crate) struct RayOrder {
     latest: Option<(Instant, Instant)>,
     /// Sensor's clock of the latest scan, if it tells.
     clock: Option<u32>,
-    /// How much faster scans come than a motor turns. A late reply makes it a revolution at most.
-    ahead: Duration,
+    /// How much faster scans come than a motor turns, in nanoseconds. A late reply makes it a
+    /// revolution at most.
+    ahead: u64,
 }
 
 impl RayOrder {
@@ -30,9 +31,10 @@ impl RayOrder {
         if scan.meta.sensor_clock.is_some() && self.is_out_of_order(scan) {
             return;
         }
-        let (revolution, mut first_ray) = (scan.scan_time(), scan.first_ray_at());
+        let mut first_ray = scan.first_ray_at();
         if let Some((requested, earliest)) = self.latest {
-            let since = scan.meta.requested_at.saturating_duration_since(requested);
+            let since = nanos(scan.meta.requested_at.saturating_duration_since(requested));
+            let revolution = nanos(scan.scan_time());
             let ahead = self.ahead + revolution / 10 * SHORTEST_REVOLUTION;
             self.ahead = ahead.saturating_sub(since).min(3 * revolution);
             if self.ahead <= 2 * revolution && first_ray < earliest {
@@ -42,8 +44,7 @@ impl RayOrder {
         // An increment after the last ray.
         let window = scan.window();
         let swept = window.points() as u32 * u32::from(window.cluster_count());
-        let swept = revolution * swept / u32::from(scan.geometry().steps_per_revolution());
-        self.latest = Some((scan.meta.requested_at, first_ray + swept));
+        self.latest = Some((scan.meta.requested_at, first_ray + scan.turn_time(2 * swept)));
     }
 
     /// Returns true for another window of the latest revolution, and for a scan of a stream that is
@@ -54,4 +55,9 @@ impl RayOrder {
         self.latest.is_some_and(|(requested, _)| scan.meta.requested_at < requested)
             || std::mem::replace(&mut self.clock, clock) == clock
     }
+}
+
+/// Cheaper to reckon with than a [`Duration`]. Overflows after 584 years.
+fn nanos(time: Duration) -> u64 {
+    time.as_nanos() as u64
 }

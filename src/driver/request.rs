@@ -132,10 +132,10 @@ impl RequestQueue {
     }
 
     /// Returns the next request, or `None` if the queue is empty.
-    pub(crate) fn pop(&mut self) -> Result<Option<Request>, Abandoned> {
+    pub(crate) fn pop(&mut self) -> Result<Option<Box<Request>>, Abandoned> {
         while let Some(WaitingRequest { request, .. }) = self.waiting.pop_front() {
             if !request.is_abandoned() {
-                return Ok(Some(*request));
+                return Ok(Some(request));
             }
         }
         loop {
@@ -149,7 +149,7 @@ impl RequestQueue {
             };
             if !request.is_abandoned() {
                 self.desired.record(&request);
-                return Ok(Some(*request));
+                return Ok(Some(request));
             }
         }
     }
@@ -247,7 +247,7 @@ mod tests {
             "it needs a link"
         );
         assert!(matches!(poll_fn(|cx| queue.poll_ready(cx)).now_or_never(), Some(Ok(()))));
-        assert!(matches!(queue.pop(), Ok(Some(Request::Version(_)))));
+        assert!(matches!(queue.pop().unwrap().as_deref(), Some(Request::Version(_))));
     }
 
     #[tokio::test(start_paused = true)]

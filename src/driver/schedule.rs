@@ -192,7 +192,6 @@ impl Schedules {
     }
 
     /// Delivers the scan that `poll` received, on a line at `baud_rate` if there is one.
-    #[inline(always)]
     pub(crate) fn deliver(
         &mut self,
         poll: DuePoll,

@@ -350,6 +350,7 @@ mod tests {
         port.release();
         assert!(!is_locked(&path) && opener.is_busy());
         drop(port);
+        assert!(opener.closed.as_mut().unwrap().await.is_err());
         assert!(!opener.is_busy());
     }
 

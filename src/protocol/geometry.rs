@@ -101,12 +101,14 @@ impl Geometry {
         (step - f64::from(self.front_step)) * self.step_angle()
     }
 
-    /// Direction in radians in which a revolution ends, and the sensor can send its scan: for a URG
-    /// the rear, for newer sensors the end of their last step.
-    pub(crate) fn end_angle(&self) -> f64 {
+    /// Half steps from step 0 to where a revolution ends, and the sensor can send its scan: a URG at
+    /// its rear, newer sensors at the end of their last step.
+    pub(crate) fn end(&self) -> u32 {
         match self.codes {
-            None | Some(Codes::Urg) => std::f64::consts::PI,
-            Some(_) => self.angle(f64::from(self.last_step) + 1.0),
+            None | Some(Codes::Urg) => {
+                2 * u32::from(self.front_step) + u32::from(self.steps_per_revolution)
+            }
+            Some(_) => 2 * (u32::from(self.last_step) + 1),
         }
     }
 

@@ -148,10 +148,19 @@ impl Scan {
 
     /// Time from the first ray to the arrival of the first byte.
     fn since_first_ray(&self) -> Duration {
-        let until_end = self.meta.geometry.end_angle() - f64::from(self.angle_min());
-        let turns = (until_end / std::f64::consts::TAU).clamp(0.0, 1.0);
-        let turned = self.meta.scan_time.mul_f64(turns);
+        let middle =
+            2 * u32::from(self.window.start()) + u32::from(self.window.first_cluster()) - 1;
+        let turned = self.turn_time(self.meta.geometry.end().saturating_sub(middle));
         turned.saturating_add(self.meta.lateness.unwrap_or_default())
+    }
+
+    /// Time in which the motor turns by so many half steps, at most a revolution.
+    pub(crate) fn turn_time(&self, half_steps: u32) -> Duration {
+        let revolution = 2 * u64::from(self.meta.geometry.steps_per_revolution());
+        let half_steps = u64::from(half_steps).min(revolution);
+        // Exact: u64 nanoseconds overflow after 584 years.
+        let nanos = self.meta.scan_time.as_nanos() as u64;
+        Duration::from_nanos(nanos.saturating_mul(half_steps) / revolution)
     }
 }
 

@@ -15,6 +15,7 @@ use self::settings::is_unplugged;
 use super::failure::{ExchangeError, LinkError};
 use super::laser::Laser;
 use super::motor_clock::MotorClock;
+use super::rarely::rarely;
 use super::ray_order::RayOrder;
 use super::request::{Abandoned, Request, RequestQueue, Responder};
 use super::schedule::Schedules;
@@ -110,12 +111,13 @@ impl Service<'_> {
             let probe = interval.zip(heard).map(|(interval, heard)| heard + interval);
             // The next command would begin with a probe anyway. Now there may be time for it.
             if session.needs_probe() || probe.is_some_and(|due| due <= now) {
-                let outcome = Box::pin(self.probe(session)).await;
+                let outcome = rarely(|| self.probe(session)).await;
                 ignore_command_errors(outcome)?;
             }
-            if self.laser.retry_at().is_none() && self.laser.is_due(self.queue.desired.laser) {
+            let has_setting = self.has_setting();
+            if has_setting && self.laser.retry_at().is_none() {
                 // A setting that is younger than the session comes before all polls.
-                Box::pin(self.apply_laser(session)).await?;
+                rarely(|| self.apply_laser(session)).await?;
             }
             self.check_stream(session);
             let polling = !self.schedules.is_empty() && !self.laser.is_off();
@@ -128,14 +130,12 @@ impl Service<'_> {
                     Turn::Request => match self.queue.pop()? {
                         Some(request) => {
                             self.deliver_waiting(session)?;
-                            Box::pin(self.serve_request(session, request)).await?;
+                            rarely(|| self.serve_request(session, *request)).await?;
                             true
                         }
                         None => false,
                     },
-                    Turn::Setting if self.has_setting() => {
-                        Box::pin(self.apply_setting(session)).await?
-                    }
+                    Turn::Setting if has_setting => rarely(|| self.apply_setting(session)).await?,
                     Turn::Poll if poll_is_due || session.is_streaming() => {
                         self.poll_due(session).await?
                     }
@@ -145,7 +145,7 @@ impl Service<'_> {
                     continue 'turns;
                 }
             }
-            let wake = due.into_iter().chain(probe).chain(self.laser.retry_at()).min();
+            let wake = earlier(due, earlier(probe, self.laser.retry_at()));
             poll_fn(|cx| {
                 if let Poll::Ready(outcome) = session.poll_unasked(cx) {
                     return Poll::Ready(outcome.map_err(Stop::from));
@@ -235,6 +235,13 @@ impl Service<'_> {
         if std::mem::replace(&mut self.streaming, now) != now {
             self.shared.link.set_streaming(now);
         }
+    }
+}
+
+fn earlier(one: Option<Instant>, other: Option<Instant>) -> Option<Instant> {
+    match (one, other) {
+        (Some(one), Some(other)) => Some(one.min(other)),
+        (one, other) => one.or(other),
     }
 }
 

@@ -5,11 +5,12 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use super::super::failure::{ExchangeError, LinkError};
+use super::super::rarely::rarely;
 use super::super::schedule::{DuePoll, Ended};
 use super::super::session::{Acquired, Session};
 use super::{Service, Stop, command_error};
 use crate::scan::{Scan, ScanMeta};
-use crate::{Error, ErrorKind, Window};
+use crate::{BaudRate, Error, ErrorKind, Window};
 
 impl Service<'_> {
     pub(super) async fn scan(
@@ -43,7 +44,7 @@ impl Service<'_> {
     /// Returns false if there was nothing to do.
     pub(super) async fn poll_due(&mut self, session: &mut Session) -> Result<bool, Stop> {
         if session.has_streams()
-            && let Some(is_served) = Box::pin(self.serve_stream(session)).await?
+            && let Some(is_served) = rarely(|| self.serve_stream(session)).await?
         {
             return Ok(is_served);
         }
@@ -64,22 +65,31 @@ impl Service<'_> {
         }
         let mut acquired = session.acquire(window).await;
         if let Err(failure) = acquired {
-            acquired = Box::pin(self.poll_again(session, window, failure)).await;
+            acquired = rarely(|| self.poll_again(session, window, failure)).await;
         }
-        let ended = match acquired {
-            Ok(acquired) => {
-                let scan = self.scan_from(window, acquired);
-                self.schedules.deliver(poll, scan, session.believed_baud_rate())
-            }
-            Err(failure) => self.fail(poll, failure)?,
-        };
-        self.end_poll(poll, ended, skipped);
+        match acquired {
+            Ok(acquired) => self.deliver(poll, acquired, session.believed_baud_rate(), skipped),
+            Err(failure) => self.fail(poll, failure, skipped)?,
+        }
         Ok(true)
+    }
+
+    /// Delivers a scan to the schedule of `poll`.
+    pub(super) fn deliver(
+        &mut self,
+        poll: DuePoll,
+        acquired: Acquired,
+        baud_rate: Option<BaudRate>,
+        skipped: u64,
+    ) {
+        let scan = self.scan_from(poll.window, acquired);
+        let ended = self.schedules.deliver(poll, scan, baud_rate);
+        self.end_poll(poll, ended, skipped);
     }
 
     /// Counts what the end of a poll changed.
     #[inline(always)]
-    pub(super) fn end_poll(&mut self, poll: DuePoll, ended: Ended, skipped: u64) {
+    fn end_poll(&mut self, poll: DuePoll, ended: Ended, skipped: u64) {
         if ended.falls_short {
             self.warn_of_shortfall(poll);
         }
@@ -92,12 +102,20 @@ impl Service<'_> {
         self.schedules.publish(&self.shared.counters);
     }
 
+    /// Ends a poll that has failed.
     #[cold]
     pub(super) fn fail(
         &mut self,
         poll: DuePoll,
         failure: ExchangeError,
-    ) -> Result<Ended, LinkError> {
+        skipped: u64,
+    ) -> Result<(), LinkError> {
+        let ended = self.report(poll, failure)?;
+        self.end_poll(poll, ended, skipped);
+        Ok(())
+    }
+
+    fn report(&mut self, poll: DuePoll, failure: ExchangeError) -> Result<Ended, LinkError> {
         let kind = command_error(failure)?;
         let mut again = Instant::now();
         // A refusal comes at once, and a window that the sensor lacks is not even sent.
@@ -111,7 +129,7 @@ impl Service<'_> {
     #[cold]
     fn fail_unmeasured(&mut self, poll: DuePoll) -> Result<(), LinkError> {
         let failure = self.unmeasured(poll.window);
-        self.fail(poll, failure)?;
+        self.report(poll, failure)?;
         self.schedules.publish(&self.shared.counters);
         Ok(())
     }

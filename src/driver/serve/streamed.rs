@@ -8,10 +8,9 @@ use tokio::task::coop::consume_budget;
 use tokio::time::Instant;
 
 use super::super::failure::ExchangeError;
-use super::super::schedule::{DuePoll, Ended};
-use super::super::session::{Acquired, Session};
+use super::super::session::Session;
 use super::{Service, Stop, command_error, ignore_command_errors};
-use crate::{BaudRate, ErrorKind};
+use crate::ErrorKind;
 
 impl Service<'_> {
     /// Delivers a scan of the stream, or starts one for the schedules that are not too slow for it, if
@@ -56,8 +55,7 @@ impl Service<'_> {
         self.shared.counters.fail(self.shared.link.error(error.clone()));
         for poll in self.schedules.take_streamed(Instant::now()) {
             self.shared.counters.count_poll();
-            let ended = self.fail(poll, ExchangeError::Command(error.clone()))?;
-            self.end_poll(poll, ended, 0);
+            self.fail(poll, ExchangeError::Command(error.clone()), 0)?;
         }
         Ok(())
     }
@@ -75,7 +73,7 @@ impl Service<'_> {
     pub(super) async fn deliver_streamed(&mut self, session: &mut Session) -> Result<bool, Stop> {
         // A sensor that sends without a pause must not keep other tasks from running.
         consume_budget().await;
-        match poll_fn(|cx| Poll::Ready(session.poll_unasked(cx))).await {
+        match poll_fn(|cx| Poll::Ready(session.poll_streamed(cx))).await {
             Poll::Ready(outcome) => outcome?,
             Poll::Pending => return Ok(false),
         }
@@ -109,18 +107,10 @@ impl Service<'_> {
                 self.shared.counters.count_poll();
                 // It may have been sent before the stream had this window.
                 if let Some(acquired) = streamed.cut(poll.window, &self.geometry) {
-                    let ended = self.deliver(poll, acquired, session.believed_baud_rate());
-                    self.end_poll(poll, ended, 0);
+                    self.deliver(poll, acquired, session.believed_baud_rate(), 0);
                 }
             }
         }
         Ok(())
-    }
-
-    /// Delivers a scan to the schedule of `poll`.
-    #[inline(never)]
-    fn deliver(&mut self, poll: DuePoll, acquired: Acquired, baud_rate: Option<BaudRate>) -> Ended {
-        let scan = self.scan_from(poll.window, acquired);
-        self.schedules.deliver(poll, scan, baud_rate)
     }
 }

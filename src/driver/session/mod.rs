@@ -39,6 +39,7 @@ use super::config::Wanted;
 use super::failure::{ExchangeError, LinkError};
 use super::motor_clock::Revolution;
 use super::observers::ReplyObservers;
+use super::rarely::rarely;
 use super::schedule::StreamWish;
 use super::transport::{ReplyTimes, Transport};
 use crate::port::Port;
@@ -168,7 +169,6 @@ impl Session {
 
     /// Waits for bytes that no command asks for. A scan of a stream can be
     /// [taken](Self::take_streamed) then; otherwise the session [needs a probe](Self::needs_probe).
-    #[inline(always)]
     pub(crate) fn poll_unasked(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), LinkError>> {
         if self.is_streaming() {
             return self.poll_streamed(cx);
@@ -178,7 +178,7 @@ impl Session {
 
     /// Waits for what a stream sends.
     #[cold]
-    fn poll_streamed(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), LinkError>> {
+    pub(crate) fn poll_streamed(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), LinkError>> {
         self.scip2().map_or(Poll::Pending, |mut scip2| scip2.poll_streamed(cx))
     }
 
@@ -277,7 +277,7 @@ impl Session {
     /// Asks for the values of `window`, whose steps are the sensor's.
     pub(crate) async fn acquire(&mut self, window: Window) -> Result<Acquired, ExchangeError> {
         if let Some(mut scip2) = self.scip2() {
-            return Box::pin(scip2.acquire(window)).await;
+            return rarely(|| scip2.acquire(window)).await;
         }
         // Here, and not in a future of its own, which would cost each scan of SCIP 1.1 more.
         let scip1 = &mut self.scip1;
@@ -287,10 +287,10 @@ impl Session {
         }
         let request = match scip1.choose(window) {
             Some(request) => request,
-            None => Box::pin(scip1.choose_after_fence(window)).await?,
+            None => rarely(|| scip1.choose_after_fence(window)).await?,
         };
-        let answer = scip1.exchange(request.command, request.echo).await?;
-        request.values(answer)
+        let answer = scip1.exchange(request.command, request.echo).await;
+        answer.and_then(|answer| request.values(answer))
     }
 
     /// Returns when [`acquire`](Self::acquire) of this window needs no further command to rule out a

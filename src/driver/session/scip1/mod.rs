@@ -24,6 +24,7 @@ use self::exchange::{Answer, accepted};
 pub(super) use self::unique_requests::UniqueRequests;
 use self::unique_requests::Widened;
 use super::super::failure::ExchangeError;
+use super::super::rarely::rarely;
 use super::super::transport::Limits;
 use super::Acquired;
 use super::errors::on_behalf_of;
@@ -147,7 +148,7 @@ impl Scip1 {
     /// Drops pending input, and sends a fence if there is doubt about the link.
     pub(super) async fn settle(&mut self) -> Result<(), ExchangeError> {
         self.line.is_settled &= self.line.discard_pending().await? == 0;
-        if self.line.is_settled { Ok(()) } else { Box::pin(self.fence()).await.map(drop) }
+        if self.line.is_settled { Ok(()) } else { rarely(|| self.fence()).await.map(drop) }
     }
 
     /// Returns true if a copy of the latest frame may still be on its way: on a serial line, for

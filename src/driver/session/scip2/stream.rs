@@ -194,6 +194,7 @@ impl State {
     }
 
     /// Returns true if a stream runs, or if something of it is waiting.
+    #[cold]
     pub(in super::super) fn has_streamed(&self) -> bool {
         self.is_streaming() || !self.waiting.is_empty()
     }
