@@ -3,8 +3,8 @@
 //! part of the recording is removed when the next one has begun.
 //!
 //! `cargo bench -p urg-recording` takes minutes and 7 GB of disk.
-//! `-- 86400` records so many seconds only. `-- outgrow FOLDER` records without a sensor, as fast as
-//! possible, until a file may not grow (4 GiB on FAT), and then as much again as a minute has.
+//! `-- 86400` records for that many seconds. `-- outgrow FOLDER` records without a sensor, as fast as
+//! possible, until the file may not grow (4 GiB on FAT), and then the scans of one more minute.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 

@@ -97,8 +97,8 @@ impl Parts {
         self.path.is_some() && error.kind() == io::ErrorKind::FileTooLarge
     }
 
-    /// Keeps later files so much below a length at which one had no room for more that their index
-    /// fits, too.
+    /// Limits later files to less than `length`, at which one could not grow, so that their index
+    /// fits as well.
     pub(super) fn stay_below(&mut self, length: u64) {
         self.has_outgrown = true;
         let limit = length - length / 16;

@@ -60,7 +60,7 @@ fn read(path: &Path) -> Part {
 #[tokio::test(start_paused = true)]
 async fn a_recording_continues_after_a_file_that_may_not_grow() {
     if std::env::var_os(IN_CHILD).is_none() {
-        // A limit is one of the whole process, in which other tests write files.
+        // The limit holds for a whole process, and other tests write files in this one.
         let name = "file_limit::a_recording_continues_after_a_file_that_may_not_grow";
         let child = Command::new("sh")
             .args(["-c", "trap '' XFSZ; exec \"$0\" --exact \"$1\""])

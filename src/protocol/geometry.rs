@@ -44,7 +44,7 @@ impl Geometry {
         codes: None,
     };
 
-    /// Protocol in which the sensor told it.
+    /// Protocol that the sensor speaks.
     pub const fn protocol(&self) -> Protocol {
         match self.codes {
             None => Protocol::Scip1,

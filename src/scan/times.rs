@@ -55,9 +55,8 @@ impl Scan {
     /// `sensor_msgs/LaserScan`. Point `n` was measured `n * time_increment` later, see
     /// [`Point::offset`](super::Point::offset).
     ///
-    /// SCIP 1.1 has no time stamps, so this one is computed. The motor turns
-    /// counter-clockwise, and a revolution of a URG begins and ends at the rear (-180 degrees), that of
-    /// another model at its last step. The
+    /// SCIP 1.1 has no time stamps, so this one is computed. The motor turns counter-clockwise. A
+    /// revolution ends at the rear (-180 degrees) of a URG, and at the last step of other models. The
     /// reply begins when a revolution ends, so the first point was measured
     /// `1 - (angle_min + pi) / (2 pi)` of a [`scan_time`](Self::scan_time) before that end: for
     /// [`Window::DETECTION`](crate::Window::DETECTION) 83 ms.

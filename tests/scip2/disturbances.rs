@@ -24,7 +24,7 @@ async fn a_laser_that_was_switched_off_stays_off() {
     let sensor = builder().connect(emulator.clone()).await.unwrap();
     let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
     next(&mut stream).await;
-    // Scans come before the answer, and nobody reads them.
+    // Scans arrive before the answer, and are not read from the stream.
     emulator.set_faults(Faults::none().every(Fault::Late(Duration::from_millis(60))));
     sleep(Duration::from_secs(1)).await;
     let dropping = async {

@@ -1,5 +1,5 @@
-//! Scans that a sensor of SCIP 2 sends on its own (`MD`): shared by all windows and rates, and ended
-//! when nobody wants them.
+//! Scans that a sensor of SCIP 2 sends on its own (`MD`): all windows and rates share them, and they
+//! end with the last reader.
 
 use std::time::Duration;
 

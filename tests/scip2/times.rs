@@ -10,7 +10,7 @@ use urg_emulator::{Emulator, Fault, Faults, Model};
 use super::{next, numbered, revolution};
 use crate::common::builder;
 
-/// Milliseconds by which the first ray of a scan is late, by the emulator's record.
+/// How much later a scan says that its first ray was than the emulator does, in milliseconds.
 fn lateness(emulator: &Emulator, scan: &Scan) -> f64 {
     let number = revolution(scan);
     let sent = emulator.sent_scans();

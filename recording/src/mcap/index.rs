@@ -57,8 +57,8 @@ impl ChunkMessages {
         self.span.unwrap_or_default()
     }
 
-    /// Encodes the records that list the messages after a chunk, of which the first is at `start`
-    /// in the file, and the place of each channel's record.
+    /// Encodes the message indexes of a chunk, which begin at `start` in the file, and the place of
+    /// each channel's index.
     pub(super) fn indexes(&self, start: u64) -> (Vec<u8>, Vec<u8>) {
         let (mut records, mut places) = (Vec::new(), Vec::new());
         for (channel, messages) in &self.channels {

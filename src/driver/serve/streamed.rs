@@ -69,7 +69,8 @@ impl Service<'_> {
     }
 
     /// Delivers what has come of the stream: scans and errors. Returns false if there is nothing now.
-    /// Ends the stream if no schedule needs it, and starts it anew if none needs so many scans.
+    /// Ends the stream if no schedule needs it, and restarts it with fewer scans if they are enough for
+    /// all schedules.
     pub(super) async fn deliver_streamed(&mut self, session: &mut Session) -> Result<bool, Stop> {
         // A sensor that sends without a pause must not keep other tasks from running.
         consume_budget().await;
@@ -82,8 +83,9 @@ impl Service<'_> {
         let outcome = match self.schedules.stream(self.scan_time) {
             // Both would switch the laser on. The command that switches it off ends the stream.
             _ if self.queue.desired.laser == Some(false) => Ok(()),
+            _ if !session.is_streaming() => Ok(()),
             None => session.end_stream().await,
-            Some(wish) if session.is_streaming() && self.streamed < Some(wish.skipped) => {
+            Some(wish) if self.streamed < Some(wish.skipped) => {
                 self.streamed = Some(wish.skipped);
                 session.stream(wish).await
             }

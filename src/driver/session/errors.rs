@@ -8,6 +8,7 @@ use super::super::transport::NoFrame;
 use crate::ErrorKind;
 use crate::error::Operation;
 use crate::protocol::{MalformedError, Text};
+use crate::state::Shared;
 
 /// Command that can fail.
 pub(super) trait Asked {
@@ -48,6 +49,21 @@ pub(super) fn no_reply(asked: &impl Asked, failure: NoFrame) -> ExchangeError {
         NoFrame::Late { after } => ExchangeError::Command(timeout(asked, after)),
         NoFrame::Link(failure) => failure.into(),
     }
+}
+
+/// Counts the absence of a reply, and converts it.
+#[cold]
+pub(super) fn record_silence(
+    shared: &Shared,
+    asked: &impl Asked,
+    failure: NoFrame,
+) -> ExchangeError {
+    let failure = no_reply(asked, failure);
+    if let ExchangeError::Command(error) = &failure {
+        shared.counters.stats().timeouts += 1;
+        tracing::trace!(%error, "no answer");
+    }
+    failure
 }
 
 /// Names `asked` in the error of a command that was sent on its behalf: the caller knows nothing of

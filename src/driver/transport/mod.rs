@@ -211,11 +211,6 @@ impl Transport {
         }
     }
 
-    /// Expects another frame, in place of one that was not expected.
-    pub(crate) fn expect_another(&mut self) -> Result<(), LinkError> {
-        self.begin_frame()
-    }
-
     /// Receives the frame that [`expect_unasked`](Self::expect_unasked) expects.
     ///
     /// # Errors
@@ -252,7 +247,8 @@ impl Transport {
         (self.received_before, self.frames) = (self.received, 0);
     }
 
-    fn begin_frame(&mut self) -> Result<(), LinkError> {
+    /// Expects one more frame, before the same deadline.
+    pub(crate) fn begin_frame(&mut self) -> Result<(), LinkError> {
         if self.frames == self.limits.frames {
             return Err(self.lost(Some(flood(self.limits))));
         }

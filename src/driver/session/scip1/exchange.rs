@@ -4,13 +4,12 @@ use std::time::Duration;
 
 use super::super::super::failure::ExchangeError;
 use super::super::super::observers::ReplyObservers;
-use super::super::super::transport::{Expected, NoFrame, ReceivedFrame, ReplyTimes};
-use super::super::errors::{no_reply, on_behalf_of};
+use super::super::super::transport::{Expected, ReceivedFrame, ReplyTimes};
+use super::super::errors::{on_behalf_of, record_silence};
 use super::errors::{bad_reply, refused};
 use super::{ANY_SCAN, LIMITS, Scip1};
 use crate::codec::{ExpectedReply, FoundFrame};
 use crate::protocol::{Command, MalformedError, Protocol, Reply, ReplyError, Status};
-use crate::state::Shared;
 use crate::{BaudRate, ErrorKind, RawReply};
 
 /// Reply to a command.
@@ -208,16 +207,6 @@ fn check_beginning(
 /// What to expect after `command`, whose bytes are `bytes`.
 pub(super) fn expected(command: &Command, bytes: &[u8]) -> Expected {
     Expected { reply: ExpectedReply::new(command, bytes), limits: &LIMITS }
-}
-
-#[cold]
-fn record_silence(shared: &Shared, command: &Command, failure: NoFrame) -> ExchangeError {
-    let failure = no_reply(command, failure);
-    if let ExchangeError::Command(error) = &failure {
-        shared.counters.stats().timeouts += 1;
-        tracing::trace!(%error, "no answer");
-    }
-    failure
 }
 
 /// Returns true if a reply with this error began with its command.

@@ -4,8 +4,8 @@
 use std::time::Duration;
 
 use super::super::super::failure::ExchangeError;
-use super::super::super::transport::{Expected, NoFrame, ReplyTimes};
-use super::super::errors::{no_reply, refused};
+use super::super::super::transport::{Expected, ReplyTimes};
+use super::super::errors::{record_silence, refused};
 use super::errors::bad_reply;
 use super::{LIMITS, Scip2};
 use crate::codec::FoundFrame;
@@ -143,20 +143,6 @@ pub(super) fn record_malformed(
     let error = bad_reply(request, error);
     tracing::trace!(%error, "no answer");
     ExchangeError::Command(error)
-}
-
-#[cold]
-pub(super) fn record_silence(
-    shared: &Shared,
-    request: &Request,
-    failure: NoFrame,
-) -> ExchangeError {
-    let failure = no_reply(request, failure);
-    if let ExchangeError::Command(error) = &failure {
-        shared.counters.stats().timeouts += 1;
-        tracing::trace!(%error, "no answer");
-    }
-    failure
 }
 
 pub(super) fn raw_reply<'a>(bytes: &'a [u8], times: &ReplyTimes) -> RawReply<'a> {

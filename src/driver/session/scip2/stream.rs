@@ -11,8 +11,9 @@ use std::time::Duration;
 use super::super::super::failure::{ExchangeError, LinkError};
 use super::super::super::schedule::StreamWish;
 use super::super::super::transport::{Expected, ReplyTimes};
+use super::super::errors::record_silence;
 use super::super::{Acquired, Streamed};
-use super::exchange::{accepted, find_own, raw_reply, record_malformed, record_silence, refusal};
+use super::exchange::{accepted, find_own, raw_reply, record_malformed, refusal};
 use super::{LIMITS, Scip2, State, acquired, steps};
 use crate::codec::FoundFrame;
 use crate::protocol::scip2::{
@@ -165,7 +166,7 @@ impl Scip2<'_> {
             if self.state.waiting.len() > before {
                 self.expect_scan();
             } else {
-                self.line.transport.expect_another()?;
+                self.line.transport.begin_frame()?;
             }
         }
         Poll::Ready(Ok(()))
@@ -278,8 +279,8 @@ impl State {
     }
 }
 
-/// Returns true if the sensor goes on with the stream after this status: while it checks an error,
-/// and when it has found none (p. 11).
+/// Returns true if the stream continues after this status: the sensor sends one while it checks for
+/// an error, and one when it has found none (p. 11).
 fn is_pause(status: Status) -> bool {
     matches!(status.characters(), [b'2'..=b'4', _] | [b'9', b'8'])
 }
