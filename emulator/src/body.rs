@@ -1,6 +1,8 @@
 //! [`Body`]: what a sensor has in both protocols, and the [`Answer`] that it gives.
 
 use tokio_scip::BaudRate;
+use tokio_scip::protocol::Text;
+use tokio_scip::protocol::scip2::Parameters;
 
 use super::models::{Geometry, Model};
 
@@ -11,6 +13,8 @@ pub(crate) struct Body {
     pub(crate) serial_number: String,
     /// Lines of the reply to `V` or `VV`, in place of the firmware's.
     pub(crate) version_lines: Option<Vec<Vec<u8>>>,
+    /// What `PP` says, in place of the model's own.
+    pub(crate) parameters: Option<Parameters>,
     /// Number of excess points at the end of a scan.
     pub(crate) miscount: i8,
     pub(crate) is_laser_on: bool,
@@ -66,6 +70,19 @@ impl From<Vec<u8>> for Answer {
 }
 
 impl Body {
+    /// Geometry in SCIP 1.1, or in SCIP 2.
+    pub(crate) fn geometry(&self, in_scip2: bool) -> Geometry {
+        let own = self.model.geometry(in_scip2);
+        let told = self.parameters.as_ref().filter(|_| in_scip2);
+        told.map_or(own, |told| own.with_parameters(told))
+    }
+
+    /// Lines of the reply to `PP`, if they are not the model's own.
+    pub(crate) fn parameter_lines(&self) -> Option<Vec<Vec<u8>>> {
+        let line = |(key, value): (Text, Text)| [key.as_bytes(), b":", value.as_bytes()].concat();
+        Some(self.parameters.as_ref()?.pairs().map(line).collect())
+    }
+
     /// Measures, and returns distance and intensity of each point asked for. A cluster has the
     /// point with the least `rank`.
     pub(crate) fn points<R: Ord>(

@@ -21,6 +21,7 @@ use super::timed_device::TimedDevice;
 use super::timing::{DeviceTiming, LONGEST, Pace};
 use super::world::{Room, World};
 use tokio_scip::BaudRate;
+use tokio_scip::protocol::scip2::Parameters;
 
 /// Time of a byte at 100 Mbit/s.
 const ETHERNET_BYTE: Duration = Duration::from_nanos(80);
@@ -60,6 +61,7 @@ impl Default for EmulatorBuilder {
                 model: Model::default(),
                 serial_number: "H0713090".to_owned(),
                 version_lines: None,
+                parameters: None,
                 miscount: 0,
                 is_laser_on: true,
                 baud_rate: None,
@@ -134,6 +136,13 @@ impl EmulatorBuilder {
     /// the firmware and the serial number.
     pub fn version_lines<L: Into<Vec<u8>>>(mut self, lines: impl IntoIterator<Item = L>) -> Self {
         self.body.version_lines = Some(lines.into_iter().map(Into::into).collect());
+        self
+    }
+
+    /// Sets the reply to `PP`, and so the steps that can be asked for in SCIP 2. Default: those of
+    /// the model.
+    pub fn parameters(mut self, parameters: Parameters) -> Self {
+        self.body.parameters = Some(parameters);
         self
     }
 
@@ -273,8 +282,8 @@ impl EmulatorBuilder {
         self
     }
 
-    /// Answers each `G` with the next reply of a script in place of a world. With
-    /// [`ReplayPace::Max`], bytes take no time on the line.
+    /// Sends the scans of a script in place of a world's. With [`ReplayPace::Max`], bytes take no time
+    /// on the line.
     pub fn script(mut self, script: impl Script + 'static, pace: ReplayPace) -> Self {
         self.pace = Some(Pace::AtOnce);
         self.timing.byte_time = (pace == ReplayPace::Max).then_some(Duration::ZERO);

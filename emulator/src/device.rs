@@ -54,7 +54,7 @@ impl Device {
     }
 
     pub(crate) fn geometry(&self) -> Geometry {
-        self.body.model.geometry(self.is_in_scip2)
+        self.body.geometry(self.is_in_scip2)
     }
 
     /// Returns whether a line is a command of a protocol that the sensor knows.
@@ -65,7 +65,7 @@ impl Device {
             Command::Undefined | Command::Invalid(_) => false,
             _ => true,
         };
-        let is_of_scip2 = || scip2::Command::parse(&line.bytes, line.too_long, model).is_ok();
+        let is_of_scip2 = || scip2::Command::parse(&line.bytes, line.too_long, &self.body).is_ok();
         match () {
             () if line.bytes.is_empty() => Verdict::Empty,
             () if model == Model::Urg04lx && is_of_scip1() => Verdict::WellFormed,
@@ -87,11 +87,11 @@ impl Device {
     /// First and last step that the line asks for, if it asks for the newest scan and the laser is
     /// on.
     pub(crate) fn asked_steps(&self, line: &CommandLine) -> Option<(u16, u16)> {
-        let (line, too_long, model) = (&line.bytes, line.too_long, self.body.model);
+        let (line, too_long) = (&line.bytes, line.too_long);
         let steps = match (self.is_in_scip2, Command::parse(line, too_long)) {
             (false, Command::Scan(steps)) => steps,
             (false, _) => return None,
-            (true, _) => match scip2::Command::parse(line, too_long, model) {
+            (true, _) => match scip2::Command::parse(line, too_long, &self.body) {
                 Ok(scip2::Command::Latest(asked)) => asked.steps,
                 _ => return None,
             },

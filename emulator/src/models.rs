@@ -3,6 +3,8 @@
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
+use tokio_scip::protocol::scip2::Parameters;
+
 /// Sensor model to play.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
@@ -151,6 +153,20 @@ impl Model {
 }
 
 impl Geometry {
+    /// Geometry that the reply to `PP` tells, with the codes of this one.
+    pub(crate) fn with_parameters(self, told: &Parameters) -> Self {
+        Self {
+            resolution: told.steps_per_revolution,
+            first: *told.steps.start(),
+            last: *told.steps.end(),
+            front: told.front,
+            end: *told.steps.end(),
+            nearest: *told.distances.start(),
+            farthest: *told.distances.end(),
+            ..self
+        }
+    }
+
     /// Number of steps that can be asked for.
     pub(crate) const fn steps(&self) -> usize {
         self.end as usize + 1

@@ -1,5 +1,5 @@
-//! [`Playback`]: sends replies to `G` that are known in advance, such as a recording,
-//! instead of measuring a world.
+//! [`Playback`]: sends scans that are known in advance, such as a recording, instead of measuring a
+//! world.
 //!
 //! The replies come from a [`Script`], such as `urg-recording`'s.
 
@@ -10,12 +10,13 @@ use tokio::time::Instant;
 
 use super::world::Values;
 
-/// Longest time that the sensor holds back a reply until it is due. An earlier `G` gets
+/// Longest time that the sensor holds back a reply until it is due. An earlier request gets
 /// no answer. Shorter than a driver's deadline.
 const MAX_HOLD: Duration = Duration::from_millis(400);
 
-/// Source of replies to `G` in a fixed order, such as a recording:
-/// [`EmulatorBuilder::script`](crate::EmulatorBuilder::script).
+/// Source of scans in a fixed order, such as a recording:
+/// [`EmulatorBuilder::script`](crate::EmulatorBuilder::script). Each request for a scan gets the next
+/// one, and a stream (`MD`) sends them all.
 pub trait Script: Send {
     /// Reads the next reply, once a command has arrived. May block.
     fn prepare(&mut self);
@@ -28,7 +29,7 @@ pub trait Script: Send {
     fn is_single_step(&self, step: u16) -> bool;
 
     /// Advances to the next reply. Returns its bytes, as an answer to `command`, if they
-    /// cannot be encoded from distances.
+    /// cannot be encoded from distances. `command` may have started a stream.
     fn advance(&mut self, command: &[u8]) -> Option<Vec<u8>>;
 
     /// Wall clock of the latest reply's arrival.
@@ -37,8 +38,12 @@ pub trait Script: Send {
     /// Error that ended the script early, if any.
     fn failure(&self) -> Option<io::Error>;
 
-    /// Copies the latest value of each step that was ever measured.
-    fn measure(&self, values: &mut Values);
+    /// Copies the latest distance and intensity of each step that was ever measured. `intensities` is
+    /// empty if none are asked for.
+    fn measure(&self, distances: &mut Values, intensities: &mut Values);
+
+    /// Sensor's clock in microseconds at the latest scan. `None` if it is unknown.
+    fn clock(&self) -> Option<u64>;
 }
 
 /// Speed of a replay.
@@ -84,14 +89,18 @@ impl Playback {
         if start >= end && !self.script.is_single_step(end) {
             return NextReply::NotScripted;
         }
-        match (self.script.due(), self.started_at) {
-            (None, _) => NextReply::End,
-            (Some(due), Some(started_at)) if self.pace == ReplayPace::Recorded => {
-                let due = started_at + due;
-                if due <= at + MAX_HOLD { NextReply::At(due.max(at)) } else { NextReply::TooEarly }
-            }
-            (Some(_), _) => NextReply::At(at),
+        match self.due(at) {
+            None => NextReply::End,
+            Some(due) if due <= at + MAX_HOLD => NextReply::At(due),
+            Some(_) => NextReply::TooEarly,
         }
+    }
+
+    /// When the next reply can be sent, at `at` or later. `None` at the end of the script.
+    pub(super) fn due(&self, at: Instant) -> Option<Instant> {
+        let due = self.script.due()?;
+        let started_at = self.started_at.filter(|_| self.pace == ReplayPace::Recorded);
+        Some(started_at.map_or(at, |started_at| at.max(started_at + due)))
     }
 
     /// Plays the next reply at `at`. Returns its bytes if they cannot be encoded from

@@ -32,13 +32,13 @@ impl Source {
 
     /// Returns what fills in the distances and intensities of a revolution.
     pub(super) fn measure_at(&mut self, time: WorldTime) -> impl FnMut(&mut [u32], &mut [u32]) {
-        move |distances, intensities| {
-            match &self.playback {
-                Some(playback) => playback.script.measure(distances),
-                None => self.world.measure(time, distances),
-            }
-            if !intensities.is_empty() {
-                self.world.measure_intensities(time, distances, intensities);
+        move |distances, intensities| match &self.playback {
+            Some(playback) => playback.script.measure(distances, intensities),
+            None => {
+                self.world.measure(time, distances);
+                if !intensities.is_empty() {
+                    self.world.measure_intensities(time, distances, intensities);
+                }
             }
         }
     }

@@ -8,6 +8,7 @@ use std::ops::RangeBounds;
 use std::time::Duration;
 
 use super::RecordingError;
+use super::identity::Identity;
 use super::latched::{Latched, LatchedMessage, LatchedTopic};
 use super::mcap::{
     Compression, DefinitionWriter, Definitions, Input, McapWriter, MessageHeader, Records, header,
@@ -16,9 +17,9 @@ use super::mcap::{
 use super::messages::{Messages, lost_schema, time};
 use super::polls::StreamPolls;
 use super::range::TimeRange;
-use super::reader::{parse_sensor_metadata, window_of};
-use super::record::{Entry, Record};
-use tokio_scip::protocol::Command;
+use super::reader::parse_sensor_metadata;
+use super::record::Entry;
+use super::stream::Stream;
 
 /// Time span of a chunk in the copy: about a second of messages, as in a recording.
 const CHUNK_SPAN: u64 = 1_000_000_000;
@@ -71,6 +72,9 @@ impl Copied {
 /// Only a checksum proves a message: a damaged one outside of chunks, or in a chunk without a checksum,
 /// may be copied with its changes. A record whose kind was damaged may look like one of a later version
 /// of the format, and is skipped. Fields of later versions are not copied.
+///
+/// Joined recordings of two sensors of SCIP 2 that ran at once, with the same window of steps, read as one
+/// sensor: of the later description. Keep these apart.
 ///
 /// Leaves out damaged parts, and builds a new index. If `compression` is `None`, the copy keeps the
 /// compression of the inputs (the strongest that this build [writes](Compression::is_written)). It has at most
@@ -132,7 +136,7 @@ pub fn cut<R: Read + Send + 'static>(
         keeps_compression: compression.is_none(),
         definitions: DefinitionWriter::default(),
         range: TimeRange::new(&range),
-        version: None,
+        identity: Identity::default(),
         latched: Latched::default(),
         metadata: None,
         chunk_began: None,
@@ -256,8 +260,7 @@ struct Copy<W> {
     keeps_compression: bool,
     definitions: DefinitionWriter,
     range: TimeRange,
-    /// Latest version of the sensor, and its source.
-    version: Option<(usize, MessageHeader, Vec<u8>)>,
+    identity: Identity,
     /// Latched messages before the part, until it begins.
     latched: Latched,
     /// Latest metadata of a recording, and its source: each file of a split recording repeats it.
@@ -279,7 +282,12 @@ impl<W: Write> Copy<W> {
                 if known.is_some_and(|(_, known)| *known == content) {
                     continue;
                 }
-                self.polls.describe(window_of(&metadata));
+                let stream = Stream::from_metadata(&metadata);
+                if stream.as_ref().is_some_and(|stream| stream.model.0.is_some()) {
+                    // Otherwise it would follow the metadata in the copy, and count as the later one.
+                    self.identity.forget_parameters();
+                }
+                self.polls.describe(stream);
                 // Of the first description, whatever follows.
                 self.count_scans(false);
                 self.metadata = Some((number, content.clone()));
@@ -299,13 +307,16 @@ impl<W: Write> Copy<W> {
         }
         let at = time(header.log_time);
         let is_inside = self.range.contains(at);
-        let is_version = record.as_ref().is_some_and(is_version);
-        if is_version && self.is_repeated(number, header, data) {
+        let identity = record.as_ref().and_then(|record| match &record.entry {
+            Entry::Reply(reply) => reply.identity(),
+            _ => None,
+        });
+        if identity.is_some_and(|kind| self.identity.is_repeated(kind, number, header, data)) {
             return Ok(());
         }
         let is_early = self.chunk_began.is_none() && self.range.begins_after(at);
         let latched = is_early.then(|| source.latched_topic(header.channel)).flatten();
-        if !is_inside && !is_version && latched.is_none() {
+        if !is_inside && identity.is_none() && latched.is_none() {
             return Ok(());
         }
         let channel = match source.channels.get(&header.channel) {
@@ -328,18 +339,20 @@ impl<W: Write> Copy<W> {
             }
             return Ok(());
         }
-        if is_version {
-            self.version = Some((number, header, data.to_vec()));
+        if let Some(kind) = identity {
+            self.identity.insert(kind, number, header, data);
             if !is_inside {
+                record.into_iter().for_each(|record| self.polls.add(record));
                 return Ok(());
             }
         }
         if self.chunk_began.is_none() {
             let log_time = header.log_time;
-            if !is_version && let Some((_, version, data)) = self.version.take() {
-                self.message(MessageHeader { log_time, ..version }, &data)?;
-                self.version = Some((number, version, data));
+            let known = std::mem::take(&mut self.identity);
+            for (header, data) in known.others(identity) {
+                self.message(MessageHeader { log_time, ..header }, data)?;
             }
+            self.identity = known;
             for latched in std::mem::take(&mut self.latched).into_messages() {
                 let LatchedMessage { header, data, record, .. } = latched;
                 self.message(MessageHeader { log_time, ..header }, &data)?;
@@ -372,14 +385,6 @@ impl<W: Write> Copy<W> {
         self.writer.message(header, data)
     }
 
-    /// Returns true for a version that another file has already: each file of a split recording
-    /// begins with it.
-    fn is_repeated(&self, number: usize, header: MessageHeader, data: &[u8]) -> bool {
-        self.version.as_ref().is_some_and(|(source, known, bytes)| {
-            *source != number && known.publish_time == header.publish_time && bytes == data
-        })
-    }
-
     fn count_scans(&mut self, is_end: bool) {
         while let Some(poll) = self.polls.next(is_end) {
             self.outcome.scans += u64::from(poll.stream_values().is_some());
@@ -392,9 +397,4 @@ impl<W: Write> Copy<W> {
         self.writer.end().map_err(RecordingError::write)?;
         Ok(self.outcome)
     }
-}
-
-fn is_version(record: &Record) -> bool {
-    matches!(&record.entry, Entry::Reply(reply)
-        if reply.command == Some(Command::Version) && reply.parse().is_some())
 }

@@ -1,11 +1,12 @@
 //! [`Held`]: the newest items of a recording that waits for its trigger.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use tokio::time::Instant;
 
 use super::item::WriteItem;
+use super::reply::identity_command;
 
 /// Newest items, and what a file needs at its beginning.
 #[derive(Debug)]
@@ -13,15 +14,17 @@ pub(super) struct Held {
     span: Duration,
     max_bytes: usize,
     metadata: Option<WriteItem>,
-    /// Latest reply to `V` that is no longer among the items: a replay begins with it.
-    version: Option<WriteItem>,
+    /// Latest replies, by their commands, that are no longer among the items and identify the sensor: a
+    /// replay begins with them.
+    identity: BTreeMap<&'static str, WriteItem>,
     items: VecDeque<(Instant, WriteItem)>,
     bytes: usize,
 }
 
 impl Held {
     pub(super) fn new(span: Duration, max_bytes: usize) -> Self {
-        Self { span, max_bytes, metadata: None, version: None, items: VecDeque::new(), bytes: 0 }
+        let (identity, items) = (BTreeMap::new(), VecDeque::new());
+        Self { span, max_bytes, metadata: None, identity, items, bytes: 0 }
     }
 
     /// Adds an item, and drops those that are too old, or too many.
@@ -37,8 +40,10 @@ impl Held {
             && let Some((_, item)) = self.items.pop_front()
         {
             self.bytes -= item.weight();
-            if matches!(&item, WriteItem::Reply { command, .. } if command == "V") {
-                self.version = Some(item);
+            if let WriteItem::Reply { request, .. } = &item
+                && let Some(command) = identity_command(request)
+            {
+                self.identity.insert(command, item);
             }
         }
     }
@@ -50,12 +55,12 @@ impl IntoIterator for Held {
 
     /// In the order of the file, whose time begins with the first item.
     fn into_iter(mut self) -> Self::IntoIter {
-        if let (Some(WriteItem::Reply { times, .. }), Some((at, _))) =
-            (&mut self.version, self.items.front())
-        {
-            times.steady = at.into_std();
+        for item in self.identity.values_mut() {
+            if let (WriteItem::Reply { times, .. }, Some((at, _))) = (item, self.items.front()) {
+                times.steady = at.into_std();
+            }
         }
-        let head = self.metadata.into_iter().chain(self.version);
+        let head = self.metadata.into_iter().chain(self.identity.into_values());
         Box::new(head.chain(self.items.into_iter().map(|(_, item)| item)))
     }
 }

@@ -15,7 +15,7 @@ const OVERHEAD_BYTES: usize = 128;
 pub(super) enum WriteItem {
     Scan(Scan),
     Reply {
-        command: String,
+        request: String,
         bytes: Box<[u8]>,
         times: Times,
     },

@@ -26,7 +26,7 @@ pub struct LeftOut {
 pub enum LeftOutReason {
     /// Scan of another window than the stream's.
     OtherWindow,
-    /// Scan whose directions are not steps of a URG.
+    /// Scan whose directions are not steps of a sensor, or in a replay one of another sensor.
     OtherLaser,
     /// The message ends before its fields do, or a field is malformed.
     Malformed,

@@ -50,7 +50,7 @@
 //! | topic | ROS 2 type | a message is |
 //! |---|---|---|
 //! | `/scan` | `sensor_msgs/msg/LaserScan` | a scan of the stream |
-//! | `/scip/replies` | `std_msgs/msg/UInt8MultiArray` | the unchanged bytes of a reply; the label of its dimension is the command, empty for fences and unsolicited replies |
+//! | `/scip/replies` | `std_msgs/msg/UInt8MultiArray` | the unchanged bytes of a reply; the label of its dimension is the request, empty for fences and unsolicited replies |
 //! | `/scip/events` | `std_msgs/msg/String` | a JSON object: [`Event`] |
 //!
 //! All messages are CDR with their definitions, of types that every ROS 2 has. The log time runs
@@ -64,11 +64,16 @@
 //! # Replaying
 //!
 //! [`Recording::replay`] returns an [`Emulator`](urg_emulator::Emulator) on USB. It answers `V`
-//! as the recorded sensor did. It answers each poll with the next reply recorded for the stream,
-//! byte for byte, including refused and malformed replies, and replies to scans that the
-//! recording's own consumer missed. Scans have the recorded stamps. If you ask for another window
-//! than the recorded one, each step has its latest known value, or error code 19. Fences use up no
-//! reply. To get the same scans without a replay, use [`Recording::scans`].
+//! as the recorded sensor did, in SCIP 2 `VV` and `PP`. It answers each poll with the next reply
+//! recorded for the stream, byte for byte, including refused and malformed replies, and replies to
+//! scans that the recording's own consumer missed. Scans have the recorded stamps. If you ask for
+//! another window than the recorded one, each step has its latest known value, or
+//! [none](tokio_scip::Geometry::unknown_value). Fences use up no reply. Of several sensors in one
+//! file, the first is replayed. To get the same scans without a replay, use [`Recording::scans`].
+//!
+//! In SCIP 2 the driver polls a replay, too, and a stream (`MD`) that another program asks for sends
+//! every scan. Subscribe with [`Rate::UNLIMITED`](tokio_scip::Rate::UNLIMITED) to keep the recorded
+//! times: the sensor sent its scans as its motor turned, and polls at another rate fall behind.
 //!
 //! A recording without replies is replayed from its `/scan` messages. Without a reply to `V`
 //! before the first scan, `V` is answered with what the metadata have.
@@ -105,8 +110,10 @@ mod reader;
 mod record;
 mod recorder;
 mod replay;
+mod reply;
 pub mod ros;
 mod scans;
+mod stream;
 mod sync;
 mod topics;
 mod writer;
@@ -121,8 +128,9 @@ pub use self::left_out::{LeftOut, LeftOutCounter, LeftOutReason};
 pub use self::mcap::{ChunkBytes, Compression};
 pub use self::progress::Progress;
 pub use self::reader::Recording;
-pub use self::record::{Entry, Record, RecordedReply};
+pub use self::record::{Entry, Record};
 pub use self::recorder::Recorder;
+pub use self::reply::RecordedReply;
 #[doc(no_inline)]
 pub use self::ros::LaserScan;
 pub use self::scans::RecordedScans;

@@ -7,7 +7,8 @@ use std::time::{Duration, SystemTime};
 
 use super::left_out::LeftOutReason;
 use super::mcap::{self, Fields, MessageHeader, kind};
-use super::record::{Entry, Record, RecordedReply, parse_command};
+use super::record::{Entry, Record};
+use super::reply::RecordedReply;
 use super::topics::Topic;
 use crate::event::Event;
 use crate::ros::{self, CdrError};
@@ -171,9 +172,8 @@ fn parse_entry(topic: Topic, stamp: SystemTime, data: &[u8]) -> Result<Entry, Cd
         Topic::Scans => Entry::Scan(ros::read_scan(data)?),
         Topic::Events => Entry::Event(Event::from(ros::read_text(data)?)),
         Topic::Replies => {
-            let (command, bytes) = ros::read_labelled_bytes(data)?;
-            let (command, bytes) = (parse_command(command), bytes.to_vec());
-            Entry::Reply(RecordedReply { command, bytes, stamp })
+            let (request, bytes) = ros::read_labelled_bytes(data)?;
+            Entry::Reply(RecordedReply::new(request, bytes, stamp))
         }
     })
 }

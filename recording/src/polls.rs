@@ -7,13 +7,14 @@ use std::time::{Duration, SystemTime};
 
 use super::event::Event;
 use super::from_ros::MessageScan;
-use super::identity::{parse_version, version_frame};
+use super::identity::{parse_version, version_lines};
 use super::left_out::{LeftOutCounter, LeftOutReason};
 use super::reader::Item;
-use super::record::{Entry, Record, RecordedReply};
+use super::record::{Entry, Record};
+use super::reply::{RecordedReply, ReplyKind, Values};
+use super::stream::{Model, Stream};
 use super::{Recording, RecordingError};
 use crate::ros::LaserScan;
-use tokio_scip::protocol::{Command, Reply};
 use tokio_scip::{Version, Window};
 
 /// Number of polls to search for the window of a stream that is not described. They stay in memory,
@@ -32,6 +33,7 @@ const MAX_SOURCES: usize = 16;
 pub(super) struct PollReply {
     /// Log time of its receipt.
     pub(super) at: SystemTime,
+    pub(super) model: Model,
     /// Requested window.
     pub(super) asked: Window,
     /// Window of the recorded stream, if this is a poll of it.
@@ -48,14 +50,14 @@ pub(super) struct PollReply {
 pub(super) enum Answer {
     Reply(RecordedReply),
     /// Values of a `/scan` message.
-    Values(Vec<u32>),
+    Values(Values),
     /// A `/scan` message made of a reply that was recorded.
     Repeated,
 }
 
 impl Answer {
     /// Values of a successful answer.
-    pub(super) fn values(&self) -> Option<Vec<u32>> {
+    pub(super) fn values(&self) -> Option<Values> {
         match self {
             Self::Reply(reply) => reply.values(),
             Self::Values(values) => Some(values.clone()),
@@ -66,29 +68,53 @@ impl Answer {
 
 impl PollReply {
     /// Values of the stream's window, if this is a scan of it.
-    pub(super) fn stream_values(&self) -> Option<(Window, Vec<u32>)> {
+    pub(super) fn stream_values(&self) -> Option<(Window, Values)> {
         let window = self.window?;
         let mut values = self.answer.values()?;
-        // The driver may have asked for extra points before or after the window.
+        // The driver may have asked for extra points before or after the window, or for a stream of more
+        // windows, whose clusters it makes.
+        let clusters = self.asked.cluster_count();
         let surplus = window.start().saturating_sub(self.asked.start());
-        values.drain(..usize::from(surplus / u16::from(window.cluster_count())).min(values.len()));
-        values.truncate(window.points());
-        (values.len() == window.points()).then_some((window, values))
+        let (surplus, steps) = (usize::from(surplus / u16::from(clusters)), window.steps());
+        for values in [&mut values.distances, &mut values.intensities] {
+            values.drain(..surplus.min(values.len()));
+            values.truncate(steps.div_ceil(clusters.into()));
+        }
+        if clusters != window.cluster_count() {
+            values.cluster(window.cluster_count(), &self.model.geometry());
+        }
+        (values.distances.len() == window.points()).then_some((window, values))
+    }
+
+    /// Returns true if this is a poll of the stream.
+    fn is_of(&self, stream: &Stream) -> bool {
+        let is_same = match &self.answer {
+            Answer::Values(_) => is_same_but_for_end(&stream.window, self.asked),
+            // In SCIP 2 the driver asks for the window itself, or for a stream of more windows.
+            Answer::Reply(reply) if reply.is_streamed() => self.asked.holds(&stream.window),
+            _ if self.model.0.is_some() => stream.window == self.asked,
+            _ => stream.window.is_polled_as(self.asked),
+        };
+        is_same && stream.model.is_like(&self.model)
     }
 }
 
 /// Finds the polls among the records of a file, and the stream that they belong to.
 #[derive(Debug, Default)]
 pub(super) struct StreamPolls {
-    /// Windows of the current stream and of those that were described since and have not begun: a
-    /// stream begins with its first poll. Without a description, from the first polls.
-    streams: VecDeque<Window>,
+    /// The current stream and those that were described since and have not begun: a stream begins
+    /// with its first poll. Without a description, from the first polls.
+    streams: VecDeque<Stream>,
     is_described: bool,
+    /// Sensor of the replies in SCIP 2, by the latest description or reply to `PP`.
+    told: Option<Model>,
     /// Frames of the scans.
     pub(super) frame_ids: BTreeSet<String>,
     left_out: LeftOutCounter,
-    /// Stamps and windows of the latest replies to polls.
-    stamps: VecDeque<(SystemTime, Window)>,
+    /// Stamps of the latest replies to polls, and what they are of.
+    stamps: VecDeque<(SystemTime, Stream)>,
+    /// What the sensor sent for the latest scan in SCIP 2.
+    latest: Vec<u8>,
     /// Polls that wait to be returned, and the bytes of their replies.
     waiting: VecDeque<PollReply>,
     waiting_bytes: usize,
@@ -99,31 +125,43 @@ impl StreamPolls {
         Self { left_out, ..Self::default() }
     }
 
-    /// The records that follow belong to a stream of this window, once one of its polls follows.
-    pub(super) fn describe(&mut self, window: Option<Window>) {
-        let Some(window) = window else { return };
+    /// The records that follow belong to this stream, once one of its polls follows.
+    pub(super) fn describe(&mut self, stream: Option<Stream>) {
+        let Some(stream) = stream else { return };
         self.is_described = true;
-        self.streams.retain(|known| *known != window);
+        if stream.model.0.is_some() {
+            self.told = Some(stream.model.clone());
+        }
+        self.streams.retain(|known| *known != stream);
         if self.streams.len() == MAX_STREAMS {
             self.streams.pop_front();
         }
-        self.streams.push_back(window);
+        self.streams.push_back(stream);
     }
 
     /// Takes the next record of the file.
     pub(super) fn add(&mut self, record: Record) {
         let Record { at, stamp, .. } = record;
-        let poll =
-            |asked, answer| PollReply { at, asked, window: None, stamp, scan_time: None, answer };
+        let poll = |of: Stream, answer| {
+            let Stream { model, window: asked, .. } = of;
+            PollReply { at, model, asked, window: None, stamp, scan_time: None, answer }
+        };
         let poll = match record.entry {
             Entry::Reply(reply) => {
-                let Some(Command::Distances(asked)) = reply.command else { return };
+                if let Some(parameters) = reply.parameters() {
+                    self.told = Some(parameters.into());
+                }
+                let model = if reply.command.is_some() { None } else { self.told.clone() };
+                // Without its sensor, a scan is made of its message.
+                let Some(window) = reply.window(model.as_ref()) else { return };
+                let model = model.unwrap_or_default();
+                let of = Stream { model, window };
                 if self.stamps.len() >= MAX_STAMPS {
                     self.stamps.pop_front();
                 }
-                self.stamps.push_back((stamp, asked));
+                self.stamps.push_back((stamp, of.clone()));
                 self.waiting_bytes += reply.bytes.len();
-                poll(asked, Answer::Reply(reply))
+                poll(of, Answer::Reply(reply))
             }
             Entry::Scan(message) => {
                 if self.frame_ids.len() < MAX_SOURCES && !self.frame_ids.contains(&message.frame_id)
@@ -132,16 +170,16 @@ impl StreamPolls {
                 }
                 // The driver delivers the stamp of the reply.
                 let reply = self.stamps.iter().rev().find(|(known, _)| *known == stamp);
-                if let Some((_, asked)) = reply {
-                    poll(*asked, Answer::Repeated)
+                if let Some((_, of)) = reply {
+                    poll(of.clone(), Answer::Repeated)
                 } else {
-                    let known = self.streams.iter().rev().copied();
+                    let known = self.streams.iter().rev().cloned();
                     let Some(scan) = MessageScan::from_message(&message, known) else {
                         self.left_out.add(LeftOutReason::OtherLaser, Directions(&message));
                         return;
                     };
-                    let MessageScan { window, values, stamp, scan_time } = scan;
-                    PollReply { stamp, scan_time, ..poll(window, Answer::Values(values)) }
+                    let MessageScan { stream, values, stamp, scan_time } = scan;
+                    PollReply { stamp, scan_time, ..poll(stream, Answer::Values(values)) }
                 }
             }
             Entry::Event(_) => return,
@@ -158,18 +196,22 @@ impl StreamPolls {
             if !is_end && !is_enough {
                 return None;
             }
-            self.find_window();
+            self.find_stream();
         }
         loop {
             let mut poll = self.waiting.pop_front()?;
             poll.window = self.stream_of(&poll);
             let reason = match poll.answer {
+                _ if self.is_known(&poll) => Some(LeftOutReason::OtherRequest),
                 _ if poll.window.is_some() => None,
                 Answer::Reply(_) => Some(LeftOutReason::OtherRequest),
                 _ => Some(LeftOutReason::OtherWindow),
             };
             if let Some(reason) = reason {
                 self.left_out.add(reason, poll.asked);
+                if poll.window.is_some() {
+                    continue;
+                }
             }
             if !matches!(poll.answer, Answer::Repeated) {
                 return Some(poll);
@@ -177,31 +219,49 @@ impl StreamPolls {
         }
     }
 
+    /// Returns true for a scan of a stream that the line has delivered twice.
+    fn is_known(&mut self, poll: &PollReply) -> bool {
+        let Answer::Reply(reply) = &poll.answer else { return false };
+        if poll.window.is_none() || !reply.is_streamed() {
+            return false;
+        }
+        let sent = reply.after_echo().unwrap_or_default();
+        let is_known = self.latest == sent;
+        self.latest.clear();
+        self.latest.extend_from_slice(sent);
+        is_known
+    }
+
     /// Returns the window of the stream that a poll belongs to. The latest description counts.
     fn stream_of(&mut self, poll: &PollReply) -> Option<Window> {
-        let is_message = matches!(poll.answer, Answer::Values(_));
-        let is_poll_of = |window: &Window| match is_message {
-            true => is_same_but_for_end(window, poll.asked),
-            false => window.is_polled_as(poll.asked),
-        };
-        match self.streams.iter().rposition(is_poll_of) {
+        match self.streams.iter().rposition(|stream| poll.is_of(stream)) {
             Some(place) => {
                 self.streams.drain(..place);
-                self.streams.front().copied()
+                self.streams.front().map(|stream| stream.window)
             }
             // Of messages alone all belong together.
-            None => Some(poll.asked).filter(|_| is_message && !self.is_described),
+            None => {
+                let is_message = matches!(poll.answer, Answer::Values(_));
+                Some(poll.asked).filter(|_| is_message && !self.is_described)
+            }
         }
     }
 
-    /// Finds the window of the stream to which the first poll belongs. The first polls may be
+    /// Finds the stream to which the first poll belongs. The first polls may be
     /// widened ones, because a part of a recording begins anywhere. The driver does not widen one of
     /// four.
-    fn find_window(&mut self) {
-        let mut asked = self.waiting.iter().map(|poll| poll.asked);
-        let Some(first) = asked.next() else { return };
-        let narrower = asked.filter(|asked| asked.is_polled_as(first));
-        self.streams.extend(narrower.chain([first]).min_by_key(Window::steps));
+    fn find_stream(&mut self) {
+        let Some(first) = self.waiting.front() else { return };
+        let is_like = |poll: &&PollReply| poll.model.is_like(&first.model);
+        // In SCIP 2 none is wider.
+        let count = if first.model.0.is_some() { 1 } else { self.waiting.len() };
+        let same = self.waiting.iter().take(count).filter(is_like);
+        let streams = same.map(|poll| {
+            let (model, window) = (poll.model.clone(), poll.asked);
+            Stream { model, window }
+        });
+        let stream = streams.filter(|stream| first.is_of(stream));
+        self.streams.extend(stream.min_by_key(|stream| stream.window.steps()));
     }
 }
 
@@ -228,7 +288,7 @@ impl fmt::Display for Directions<'_> {
 pub(super) struct Polls {
     pub(super) recording: Recording,
     stream: StreamPolls,
-    /// First successful reply to `V`.
+    /// First successful reply to `V` or `VV`.
     pub(super) version: Option<RecordedReply>,
     /// Time of one revolution, from the sensor's latest reply to `V`, or else from the metadata.
     pub(super) revolution: Option<Duration>,
@@ -240,7 +300,7 @@ pub(super) struct Polls {
 
 impl Polls {
     pub(super) fn new(recording: Recording) -> Self {
-        let version = parse_version(&version_frame(recording.metadata()));
+        let version = parse_version(&version_lines(recording.metadata()));
         let revolution = version.as_ref().and_then(revolution);
         let stream = StreamPolls::new(recording.left_out.clone());
         let (version, failed_polls, serial_numbers) = (None, 0, BTreeSet::new());
@@ -259,19 +319,18 @@ impl Polls {
         }
     }
 
-    /// Reply to `V` without its terminator: the first one that was read, or else what the metadata
-    /// have of it.
-    pub(super) fn version_frame(&self) -> Vec<u8> {
-        let frame = self.version.as_ref().and_then(|reply| reply.bytes.strip_suffix(b"\n\n"));
-        frame.map_or_else(|| version_frame(self.recording.metadata()), <[u8]>::to_vec)
+    /// Lines of the reply to `V`: the first one that was read, or else what the metadata have of it.
+    pub(super) fn version_lines(&self) -> Vec<Vec<u8>> {
+        let lines = self.version.as_ref().and_then(RecordedReply::version_lines);
+        lines.unwrap_or_else(|| version_lines(self.recording.metadata()))
     }
 
     fn add(&mut self, record: Record) {
         self.failed_polls += u64::from(matches!(record.entry, Entry::Event(Event::Error { .. })));
         if let Entry::Reply(reply) = &record.entry
-            && reply.command == Some(Command::Version)
+            && reply.kind() == ReplyKind::Version
         {
-            let version = reply.parse().map(|reply| Version::from_reply(&reply));
+            let version = reply.version_lines().and_then(|lines| parse_version(&lines));
             self.revolution = version.as_ref().and_then(revolution).or(self.revolution);
             if let Some(version) = &version {
                 self.add_serial_number(version.serial_number.to_string());
@@ -294,10 +353,10 @@ impl Iterator for Polls {
             }
             match self.recording.next_item() {
                 Some(Ok(Item::Record(record))) => self.add(record),
-                Some(Ok(Item::Description(window))) => {
+                Some(Ok(Item::Description(stream))) => {
                     let number = self.recording.metadata().get("serial_number").cloned();
                     self.add_serial_number(number.unwrap_or_default());
-                    self.stream.describe(window);
+                    self.stream.describe(stream);
                 }
                 Some(Ok(Item::Unread(_))) => {}
                 Some(Err(error)) => return Some(Err(error)),
@@ -312,19 +371,4 @@ impl Iterator for Polls {
 fn revolution(version: &Version) -> Option<Duration> {
     let rpm = version.specification.as_ref()?.motor_speed?;
     Some(Duration::from_secs(60) / u32::from(rpm.max(1)))
-}
-
-impl RecordedReply {
-    /// Parses a successful reply to its command.
-    pub(super) fn parse(&self) -> Option<Reply> {
-        let frame = self.bytes.strip_suffix(b"\n\n")?;
-        let reply = Reply::parse(self.command.as_ref()?, frame).ok()?;
-        reply.status().is_ok().then_some(reply)
-    }
-
-    /// Values of a successful reply to `G`.
-    pub(super) fn values(&self) -> Option<Vec<u32>> {
-        let Some(Command::Distances(_)) = self.command else { return None };
-        Some(self.parse()?.values().iter().map(|value| u32::from(*value)).collect())
-    }
 }

@@ -6,8 +6,8 @@ use std::time::{Duration, SystemTime};
 
 use super::mcap::nanos;
 use super::record::{Entry, Record};
+use super::reply::ReplyKind;
 use crate::ros::since_1970;
-use tokio_scip::protocol::Command;
 
 /// Limits of a part, and the start of their count.
 #[derive(Debug, Clone, Copy)]
@@ -50,18 +50,20 @@ impl TimeRange {
         at.duration_since(self.first.unwrap_or(at)).unwrap_or_default()
     }
 
-    /// Takes the next record of the file. Returns true for one of the first replies to `V`, up to
-    /// a successful one.
+    /// Takes the next record of the file. Returns true for one of the first replies to `V` (in SCIP 2
+    /// to `VV` and `PP`), up to a successful one.
     pub(super) fn see(&mut self, record: &Record) -> bool {
         let is_scan = match &record.entry {
             Entry::Scan(_) => true,
             Entry::Event(_) => false,
-            Entry::Reply(reply) => match reply.command {
-                Some(Command::Version) if !self.has_version => {
-                    self.has_version = reply.parse().is_some();
+            Entry::Reply(reply) => match reply.kind() {
+                ReplyKind::Version if !self.has_version => {
+                    self.has_version = reply.version_lines().is_some();
                     return true;
                 }
-                command => matches!(command, Some(Command::Distances(_))),
+                // Before the version.
+                ReplyKind::Parameters if !self.has_version => return true,
+                kind => kind == ReplyKind::Poll,
             },
         };
         if is_scan {

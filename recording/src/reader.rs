@@ -16,6 +16,7 @@ use super::mcap::{ChunkBytes, Input, Records, kind, parse_metadata};
 use super::messages::{Messages, Unread};
 use super::range::TimeRange;
 use super::record::{Entry, Record};
+use super::stream::Stream;
 use super::topics::Topic;
 use super::{METADATA, RecordingError};
 use tokio_scip::{Rate, Window};
@@ -160,7 +161,8 @@ impl Recording {
     /// Metadata of the sensor, as recorded by
     /// [`Recorder::describe`](super::Recorder::describe): `vendor`, `product`, `firmware`,
     /// `protocol`, `serial_number`, `status`, `baud_rate` (`none` on USB), `start`, `end`,
-    /// `cluster`, `rate`. Empty if you did not call it.
+    /// `cluster`, `rate`; in SCIP 2 also the lines of the reply to `PP`, such as `MODL`. Empty if you
+    /// did not call it.
     pub fn metadata(&self) -> &BTreeMap<String, String> {
         &self.metadata
     }
@@ -168,7 +170,7 @@ impl Recording {
     /// Window of the recorded stream, or `None` if the metadata does not have it, or you chose
     /// another [topic](Self::topic).
     pub fn window(&self) -> Option<Window> {
-        self.topic.is_none().then(|| window_of(&self.metadata))?
+        Some(Stream::from_metadata(&self.metadata).filter(|_| self.topic.is_none())?.window)
     }
 
     /// Rate of the recorded stream, or `None` if the metadata does not have it.
@@ -276,7 +278,7 @@ impl Recording {
             }),
             kind::METADATA => parse_sensor_metadata(content).map(|metadata| {
                 self.metadata = metadata;
-                Item::Description(self.window())
+                Item::Description(Stream::from_metadata(&self.metadata))
             }),
             kind => {
                 self.messages.define(kind, content);
@@ -339,8 +341,8 @@ pub(super) enum Item {
     Record(Record),
     /// Message that cannot be read. [`Recording::next_item`] counts it.
     Unread(Unread),
-    /// Metadata of a sensor, with the window of its stream.
-    Description(Option<Window>),
+    /// Metadata of a sensor, with its stream.
+    Description(Option<Stream>),
 }
 
 /// Parses the metadata of a recorded sensor, or returns `None` for other metadata.
@@ -348,13 +350,6 @@ pub(super) fn parse_sensor_metadata(content: &[u8]) -> Option<BTreeMap<String, S
     let (_, pairs) = parse_metadata(content).filter(|(name, _)| *name == METADATA)?;
     let owned = |(key, value): (&str, &str)| (key.to_owned(), value.to_owned());
     Some(pairs.into_iter().map(owned).collect())
-}
-
-/// Window of the stream that metadata describe.
-pub(super) fn window_of(metadata: &BTreeMap<String, String>) -> Option<Window> {
-    let number = |key| metadata.get(key)?.parse().ok();
-    let window = Window::new(number("start")?..=number("end")?).ok()?;
-    window.with_cluster_count(number("cluster")?.try_into().ok()?).ok()
 }
 
 impl Iterator for Recording {

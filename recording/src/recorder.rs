@@ -58,16 +58,20 @@ impl Recorder {
         let queue = Arc::clone(&self.queue);
         let began = Instant::now();
         move |reply| {
-            let command = reply.command.map_or_else(String::new, |command| command.to_string());
+            let request = match (reply.command, reply.request) {
+                (Some(command), _) => command.to_string(),
+                (_, Some(request)) => request.to_string(),
+                _ => String::new(),
+            };
             // A sensor's version may have come long before the recording.
             let steady = reply.received_at.max(began).into_std();
             let times = Times { steady, wall: reply.stamp };
-            queue.push(WriteItem::Reply { command, bytes: reply.bytes.into(), times });
+            queue.push(WriteItem::Reply { request, bytes: reply.bytes.into(), times });
         }
     }
 
-    /// Records the sensor's version, the window and rate of the stream, and the baud rate, as
-    /// metadata. A replay takes its window and rate from it. A baud rate that the port ignores,
+    /// Records the sensor's version and in SCIP 2 what it measures (`PP`), the window and rate of the
+    /// stream, and the baud rate, as metadata. A replay takes its window and rate from it. A baud rate that the port ignores,
     /// as fast replies have shown, is `none`.
     ///
     /// Cancel-safe: a dropped future has written nothing.
@@ -76,11 +80,11 @@ impl Recorder {
     ///
     /// The same as for [`Sensor::version`].
     pub async fn describe(&self, sensor: &Sensor, scans: &ScanStream) -> Result<(), Error> {
-        let version = sensor.version().await?;
+        let (version, geometry) = (sensor.version().await?, sensor.geometry().await?);
         let baud_rate = sensor.watch_state().get().baud_rate();
         let baud_rate = baud_rate.filter(|_| !sensor.stats().baud_rate_disproved);
         let baud_rate = baud_rate.map_or_else(|| "none".to_owned(), |rate| rate.to_string());
-        let window = scans.window();
+        let window = scans.window().resolve(&geometry).unwrap_or(scans.window());
         let mut metadata: BTreeMap<_, _> = [
             ("vendor", version.vendor.to_string()),
             ("product", version.product.to_string()),
@@ -95,6 +99,9 @@ impl Recorder {
         ]
         .map(|(key, value)| (key.to_owned(), value))
         .into();
+        let parameters = sensor.parameters();
+        let pairs = parameters.iter().flat_map(|parameters| parameters.pairs());
+        metadata.extend(pairs.map(|(key, value)| (key.to_string(), value.to_string())));
         metadata.extend(version.status.map(|status| ("status".to_owned(), status.to_string())));
         self.queue.push(WriteItem::Metadata(metadata));
         Ok(())

@@ -4,15 +4,14 @@
 use std::io;
 use std::time::{Duration, SystemTime};
 
+use super::left_out::LeftOutReason;
 use super::polls::{Answer, PollReply, Polls};
-use super::record::{RecordedReply, parse_command};
+use super::reply::{RecordedReply, Values};
+use super::stream::Model;
 use super::{Recording, RecordingError};
 use tokio_scip::Window;
-use tokio_scip::protocol::Command;
-use urg_emulator::{Emulator, ReplayPace, Script, Values};
-
-/// Error code 19, "Non-Measurable Distance": value of a step outside the recording.
-const UNKNOWN: u32 = 19;
+use tokio_scip::protocol::scip2::Stamp;
+use urg_emulator::{Emulator, Model as EmulatedModel, ReplayPace, Script};
 
 impl Recording {
     /// Creates an emulated sensor that answers as the recorded one did: see [the
@@ -25,10 +24,21 @@ impl Recording {
     /// [`RecordingError::Read`].
     pub fn replay(self, pace: ReplayPace) -> Result<Emulator, RecordingError> {
         let replies = Replies::new(Polls::new(self))?;
-        let version = replies.polls.version_frame();
-        let lines = version.split(|&byte| byte == b'\n').skip(2).map(<[u8]>::to_vec);
-        let lines: Vec<_> = lines.filter(|line| !line.is_empty()).collect();
-        Ok(Emulator::builder().version_lines(lines).script(replies, pace).build())
+        let mut lines = replies.polls.version_lines();
+        if replies.model.0.is_some() {
+            // In SCIP 2 a driver takes no empty text.
+            let empty = lines.iter_mut().filter(|line| line.ends_with(b":"));
+            empty.for_each(|line| line.extend(b"unknown"));
+        }
+        let builder = Emulator::builder().version_lines(lines);
+        let builder = match replies.model.0.as_deref() {
+            // Any model of SCIP 2 on USB, but one that asking for intensities would lock.
+            Some(parameters) => {
+                builder.model(EmulatedModel::Utm30lx).parameters(parameters.clone())
+            }
+            None => builder,
+        };
+        Ok(builder.script(replies, pace).build())
     }
 }
 
@@ -48,15 +58,19 @@ fn keep_error<T>(
 /// Replies to the polls of one stream, in the order of their arrival.
 struct Replies {
     polls: Polls,
-    /// Window of the stream.
-    window: Window,
+    /// Sensor that is replayed, the first one of the recording.
+    model: Model,
+    /// Window of its stream, once it has one.
+    window: Option<Window>,
     next: Option<PollReply>,
     /// Wall clock when the latest reply arrived.
     stamp: SystemTime,
     /// Log time of the first reply.
     began: SystemTime,
-    /// Latest value of each step.
-    memory: Vec<u32>,
+    /// Latest distance and intensity of each step.
+    memory: [Vec<u32>; 2],
+    /// Sensor's clock at the latest scan, in SCIP 2.
+    clock: Duration,
     /// First error of reading the file.
     failure: Option<RecordingError>,
 }
@@ -66,11 +80,13 @@ impl Replies {
     fn new(polls: Polls) -> Result<Self, RecordingError> {
         let mut replies = Self {
             polls,
-            window: Window::FULL,
+            model: Model::default(),
+            window: None,
             next: None,
             stamp: SystemTime::UNIX_EPOCH,
             began: SystemTime::UNIX_EPOCH,
-            memory: vec![UNKNOWN; urg_emulator::STEPS],
+            memory: Default::default(),
+            clock: Duration::ZERO,
             failure: None,
         };
         replies.read();
@@ -90,12 +106,22 @@ impl Replies {
         while let Some(item) = self.polls.next() {
             let Some(poll) = keep_error(item, &mut self.failure) else { continue };
             let Some(window) = poll.window else {
-                self.remember(&poll);
+                if poll.model.is_like(&self.model) {
+                    self.remember(&poll);
+                }
                 continue;
             };
+            if self.window.is_none() {
+                self.model = poll.model.clone();
+            } else if !poll.model.is_like(&self.model) {
+                self.polls.recording.left_out.add(LeftOutReason::OtherLaser, window);
+                continue;
+            }
             // Another stream begins, which says nothing about the steps of the one before.
-            if std::mem::replace(&mut self.window, window) != window {
-                self.memory.fill(UNKNOWN);
+            if self.window.replace(window) != Some(window) {
+                let geometry = self.model.geometry();
+                let steps = usize::from(*geometry.answered_steps().end()) + 1;
+                self.memory = [vec![geometry.unknown_value(); steps], vec![0; steps]];
             }
             self.next = Some(poll);
             return;
@@ -106,11 +132,16 @@ impl Replies {
     fn remember(&mut self, poll: &PollReply) -> bool {
         let Some(values) = poll.answer.values() else { return false };
         let first = usize::from(poll.asked.start());
-        let seen = self.memory.get_mut(first..first + poll.asked.steps()).unwrap_or_default();
-        // Each step of a group gets the group's value. The emulated sensor sends the
-        // smallest value of a group, so it sends that value again.
-        let groups = seen.chunks_mut(poll.asked.cluster_count().into());
-        groups.zip(values).for_each(|(group, value)| group.fill(value));
+        let Values { distances, intensities, clock } = values;
+        for (memory, values) in self.memory.iter_mut().zip([distances, intensities]) {
+            let seen = memory.get_mut(first..first + poll.asked.steps()).unwrap_or_default();
+            // Each step of a group gets the group's value. The emulated sensor sends the
+            // smallest value of a group, so it sends that value again.
+            let groups = seen.chunks_mut(poll.asked.cluster_count().into());
+            groups.zip(values).for_each(|(group, value)| group.fill(value));
+        }
+        let since = poll.at.duration_since(self.began).unwrap_or_default();
+        self.clock = clock.map_or(since, Stamp::since_zero);
         true
     }
 }
@@ -129,31 +160,28 @@ impl Script for Replies {
     }
 
     fn is_single_step(&self, step: u16) -> bool {
-        self.window.steps() == 1 && self.window.end() == step
+        self.window.is_some_and(|window| window.steps() == 1 && window.end() == step)
     }
 
     fn advance(&mut self, asked: &[u8]) -> Option<Vec<u8>> {
         let poll = self.next.take()?;
         self.stamp = poll.stamp;
-        // The emulated sensor encodes the distances for the current poll, which may be
-        // widened differently from the recorded one.
-        if self.remember(&poll) {
-            return None;
-        }
-        // A refused or malformed reply is sent unchanged, with the echo of the current
-        // poll, unless it would parse as distances by chance.
-        let PollReply { asked: window, answer: Answer::Reply(reply), .. } = poll else {
-            return None;
+        let has_values = self.remember(&poll);
+        let Answer::Reply(reply) = poll.answer else { return None };
+        // The same reply to the current poll, which has another label, or is widened differently.
+        let answer = reply.to(asked);
+        let asked_again = |answer: &RecordedReply| match answer.values() {
+            Some(_) => has_values && answer.window(Some(&self.model)) == Some(poll.asked),
+            None => !has_values,
         };
-        let echo = Command::Distances(window).bytes();
-        let rest = reply.bytes.strip_prefix(&*echo);
-        let command = std::str::from_utf8(asked).ok().and_then(parse_command);
-        let answer =
-            rest.map(|rest| RecordedReply { command, bytes: [asked, rest].concat(), ..reply });
-        Some(match answer {
-            Some(answer) if answer.values().is_none() => answer.bytes,
-            _ => reply.bytes,
-        })
+        let answer = answer.filter(asked_again);
+        match (answer, has_values) {
+            (Some(answer), _) => Some(answer.bytes),
+            // The emulated sensor encodes the distances for the current poll.
+            (None, true) => None,
+            // It would parse as distances by chance.
+            (None, false) => Some(reply.bytes),
+        }
     }
 
     fn wall_clock(&self) -> SystemTime {
@@ -165,7 +193,13 @@ impl Script for Replies {
         Some(io::Error::new(io::ErrorKind::InvalidData, error))
     }
 
-    fn measure(&self, values: &mut Values) {
-        values.iter_mut().zip(&self.memory).for_each(|(slot, value)| *slot = *value);
+    fn measure(&self, distances: &mut [u32], intensities: &mut [u32]) {
+        for (slots, memory) in [distances, intensities].into_iter().zip(&self.memory) {
+            slots.iter_mut().zip(memory).for_each(|(slot, value)| *slot = *value);
+        }
+    }
+
+    fn clock(&self) -> Option<u64> {
+        u64::try_from(self.clock.as_micros()).ok()
     }
 }

@@ -11,6 +11,7 @@ use super::identity::parse_version;
 use super::left_out::{LeftOutCounter, LeftOutReason};
 use super::mcap::ChunkBytes;
 use super::polls::{PollReply, Polls};
+use super::reply::Values;
 use super::{Recording, RecordingError};
 use tokio_scip::{Scan, Version};
 
@@ -18,14 +19,21 @@ impl Recording {
     /// Reads the scans of the recorded stream, as the driver delivered them.
     ///
     /// They are decoded from the sensor's replies. So you also get scans that the
-    /// recording's own consumer missed, and the same ones as in a replay. Refused and
+    /// recording's own consumer missed, and the same ones as in a replay. A sensor in SCIP 2
+    /// may send more scans than the rate of the stream asks for: you get all that have its window. Refused and
     /// malformed replies are left out; find them in the events.
     ///
+    /// Each has the geometry of its sensor: a URG-04LX in SCIP 1.1, otherwise what its reply to `PP`
+    /// or the metadata tell, whichever was recorded last.
+    ///
     /// Scans whose reply was not recorded are made of the `/scan` messages, also of ones that
-    /// another program recorded, if their directions are steps of a URG. Distances are the
-    /// recorded ones. Messages have no error codes: a value is 16 for `+Inf`, and 19 for `NaN` and
-    /// `-Inf`. It is 16 for distances above 4.095 m, and 0 above 5.6 m: both are beyond the range.
-    /// Ranges of 0.001 to 0.019 m are error codes, as `urg_node` writes them.
+    /// another program recorded, if their directions are steps of a sensor: the described one, or one
+    /// with 1,024 or 1,440 steps in a revolution and the limits of the message. Distances are the
+    /// recorded ones, rounded to millimetres. Messages have no error codes: a range beyond the limits,
+    /// such as `+Inf`, becomes the sensor's [value for
+    /// that](tokio_scip::Geometry::far_value), and `NaN` and `-Inf` become an [unknown
+    /// value](tokio_scip::Geometry::unknown_value). Ranges of 0.001 to 0.019 m are error codes, as
+    /// `urg_node` writes them.
     ///
     /// If the file describes several streams, as after [`cut`](super::cut) has joined recordings,
     /// the latest metadata before a scan decides which stream it must belong to, once that stream has
@@ -84,7 +92,7 @@ pub struct RecordedScans {
     position: Duration,
     log_time: SystemTime,
     /// Values of the previous scan.
-    previous: Option<Vec<u32>>,
+    previous: Option<Values>,
     /// Log time of the first scan, and the instant it gets.
     started: Option<(SystemTime, Instant)>,
     has_polls: bool,
@@ -118,7 +126,7 @@ impl RecordedScans {
     /// what the [metadata](Recording::metadata) have of it. Fields that the recording does not
     /// have are empty.
     pub fn version(&self) -> Version {
-        parse_version(&self.polls.version_frame()).unwrap_or_default()
+        parse_version(&self.polls.version_lines()).unwrap_or_default()
     }
 
     /// Numbers the next scan `sequence`, and counts on from there. Use it for a
@@ -161,12 +169,16 @@ impl RecordedScans {
         };
         let (first, began) = *self.started.get_or_insert_with(|| (poll.at, Instant::now()));
         let since = poll.at.duration_since(first).unwrap_or_default();
-        let mut scan = Scan::builder(window, values.as_slice())
+        let mut scan = Scan::builder(window, values.distances.as_slice())
+            .intensities(values.intensities.as_slice())
+            .geometry(poll.model.geometry())
             .sequence(self.sequence)
             .received_at(began.checked_add(since).unwrap_or(began))
             .stamp(poll.stamp)
             .repeat(self.previous.as_ref() == Some(&values));
-        if let Some(revolution) = poll.scan_time.or(self.polls.revolution) {
+        // In SCIP 2 the geometry has it.
+        let told = self.polls.revolution.filter(|_| poll.model.0.is_none());
+        if let Some(revolution) = poll.scan_time.or(told) {
             scan = scan.scan_time(revolution);
         }
         let scan = scan.build().ok()?;

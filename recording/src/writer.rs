@@ -8,6 +8,7 @@ use std::time::{Duration, Instant, SystemTime};
 use super::METADATA;
 use super::mcap::{self, Compression, McapWriter, MessageHeader, nanos};
 use super::parts::Parts;
+use super::reply::identity_command;
 use super::topics::Topic;
 use crate::ros::{self, since_1970};
 use tokio_scip::Scan;
@@ -87,8 +88,8 @@ struct Part {
 #[derive(Debug, Default)]
 struct Preamble {
     metadata: Option<BTreeMap<String, String>>,
-    /// Latest reply to `V`, and its stamp.
-    version: Option<(Box<[u8]>, SystemTime)>,
+    /// Latest successful replies that identify the sensor, by their commands: the message and its stamp.
+    identity: BTreeMap<&'static str, (Vec<u8>, SystemTime)>,
 }
 
 impl Writer {
@@ -126,15 +127,15 @@ impl Writer {
     }
 
     /// `bytes` is a frame without its terminator.
-    pub(super) fn reply(&mut self, command: &str, bytes: &[u8], times: Times) -> io::Result<()> {
-        ros::write_labelled_bytes(&mut self.message, command, &[bytes, b"\n\n"]);
+    pub(super) fn reply(&mut self, request: &str, bytes: &[u8], times: Times) -> io::Result<()> {
+        ros::write_labelled_bytes(&mut self.message, request, &[bytes, b"\n\n"]);
         let [number, _] = &mut self.numbers;
         let sequence = std::mem::replace(number, number.wrapping_add(1));
         self.write(Topic::Replies, sequence, times)?;
         self.part.reply = Some(times.wall);
         self.part.after_scan = false;
-        if bytes.starts_with(b"V\n0\n") {
-            self.preamble.version = Some((bytes.into(), times.wall));
+        if let Some(command) = identified(request, bytes) {
+            self.preamble.identity.insert(command, (self.message.clone(), times.wall));
         }
         Ok(())
     }
@@ -261,19 +262,24 @@ impl Writer {
         if let Some(metadata) = &self.preamble.metadata {
             self.mcap.metadata(METADATA, metadata)?;
         }
-        if let Some((bytes, stamp)) = &self.preamble.version {
-            // Encoded separately, because the current message is encoded already.
-            let mut message = Vec::new();
-            ros::write_labelled_bytes(&mut message, "V", &[bytes, b"\n\n"]);
+        for (message, stamp) in self.preamble.identity.values() {
             let publish_time = nanos(since_1970(*stamp));
             let channel = Topic::Replies.channel();
             // Gets the number of a later reply, because it is not a reply of its own.
             let [sequence, _] = self.numbers;
             let header = MessageHeader { channel, sequence, log_time, publish_time };
-            self.mcap.message(header, &message)?;
+            self.mcap.message(header, message)?;
         }
         Ok(())
     }
+}
+
+/// Returns the command of a successful reply that identifies the sensor.
+fn identified(request: &str, bytes: &[u8]) -> Option<&'static str> {
+    let command = identity_command(request)?;
+    let status = if command == "V" { "0\n" } else { "00P\n" };
+    let rest = bytes.strip_prefix(request.as_bytes())?.strip_prefix(b"\n")?;
+    rest.starts_with(status.as_bytes()).then_some(command)
 }
 
 /// Starts a file with the three channels.

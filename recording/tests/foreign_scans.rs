@@ -15,37 +15,101 @@ use crate::common::random::{Random, seeds};
 use crate::sink::{replayed, window};
 
 const SECOND: i64 = 1_000_000_000;
-const STEP: f64 = 2.0 * std::f64::consts::PI / 1024.0;
 
-/// Range in a message, and the value that it stands for.
-const RANGES: [(f32, u32); 13] = [
-    (f32::INFINITY, 16),
-    (f32::NEG_INFINITY, 19),
-    (f32::NAN, 19),
-    (0.0, 19),
-    (-0.5, 19),
-    (0.001, 1),
-    (0.006, 6),
-    (0.019, 19),
-    (0.02, 20),
-    (4.094, 4094),
-    (4.1, 16),
-    (5.6, 16),
-    (8.0, 0),
+/// Laser scanner whose messages are written.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Scanner {
+    /// Steps in a revolution.
+    resolution: u16,
+    /// Limits of the ranges in millimetres.
+    limits: (f32, f32),
+    /// Values that stand for `NaN` and for `+Inf`.
+    unknown: u32,
+    far: u32,
+}
+
+/// A URG-04LX in SCIP 1.1 and in SCIP 2, and a sensor of 1,440 steps.
+const SCANNERS: [Scanner; 3] = [
+    Scanner { resolution: 1024, limits: (20.0, 4094.0), unknown: 19, far: 16 },
+    Scanner { resolution: 1024, limits: (20.0, 5600.0), unknown: 19, far: 0 },
+    Scanner { resolution: 1440, limits: (23.0, 60_000.0), unknown: 0, far: 65_533 },
 ];
-/// Time of a revolution in a message, and in nanoseconds what it stands for.
-const REVOLUTIONS: [(f32, i64); 7] = [
-    (0.1, SECOND / 10),
-    (0.025, SECOND / 40),
-    (0.0, SECOND / 10),
-    (100.0, SECOND / 10),
-    (1e8, SECOND / 10),
-    (-0.1, SECOND / 10),
-    (f32::NAN, SECOND / 10),
+
+/// Ranges in a message besides distances.
+const RANGES: [f32; 14] = [
+    f32::INFINITY,
+    f32::NEG_INFINITY,
+    f32::NAN,
+    0.0,
+    -0.5,
+    0.001,
+    0.006,
+    0.019,
+    0.02,
+    4.094,
+    4.1,
+    5.6,
+    8.0,
+    65.533,
+];
+
+impl Scanner {
+    /// Value that a range stands for.
+    fn value(&self, range: f32) -> u32 {
+        let millimetres = (f64::from(range) * 1000.0).round();
+        match () {
+            () if millimetres > f64::from(self.limits.1) => self.far,
+            () if millimetres >= 1.0 => millimetres as u32,
+            () => self.unknown,
+        }
+    }
+
+    /// Step straight ahead.
+    fn front(&self) -> u16 {
+        self.resolution / 8 * 3
+    }
+
+    /// Last step.
+    fn last(&self) -> u16 {
+        self.resolution / 4 * 3
+    }
+
+    /// Angle of a step in radians.
+    fn step(&self) -> f64 {
+        2.0 * std::f64::consts::PI / f64::from(self.resolution)
+    }
+
+    /// What a recording tells about it in SCIP 2.
+    fn parameters(&self) -> Vec<(String, String)> {
+        let model = if self.resolution == 1024 { "URG-04LX" } else { "UST-10LX" };
+        let numbers = [
+            ("DMIN", self.limits.0 as u16),
+            ("DMAX", self.limits.1 as u16),
+            ("ARES", self.resolution),
+            ("AMIN", 0),
+            ("AMAX", self.last()),
+            ("AFRT", self.front()),
+            ("SCAN", if self.resolution == 1024 { 600 } else { 2400 }),
+        ];
+        let pairs = numbers.map(|(key, value)| (key.to_owned(), value.to_string()));
+        [("MODL".to_owned(), model.to_owned())].into_iter().chain(pairs).collect()
+    }
+}
+
+/// Time of a revolution in a message, and in nanoseconds what it stands for: `None` is the nominal one.
+const REVOLUTIONS: [(f32, Option<i64>); 7] = [
+    (0.1, Some(SECOND / 10)),
+    (0.025, Some(SECOND / 40)),
+    (0.0, None),
+    (100.0, None),
+    (1e8, None),
+    (-0.1, None),
+    (f32::NAN, None),
 ];
 
 #[derive(Debug, Clone, PartialEq)]
 struct Expected {
+    scanner: Scanner,
     window: Window,
     values: Vec<u32>,
     /// Time in the header.
@@ -90,7 +154,7 @@ const FORMS: [Form; 10] = [
 ];
 
 /// Window that a message can tell: the last cluster of a message by definition is whole.
-fn any_window(random: &mut Random, form: Form) -> Window {
+fn any_window(random: &mut Random, form: Form, scanner: Scanner) -> Window {
     loop {
         let cluster = 1 + random.below(12) as u16;
         let points = 2 + random.below(30) as u16;
@@ -98,11 +162,11 @@ fn any_window(random: &mut Random, form: Form) -> Window {
             Form::UrgNode => random.below(cluster.into()) as u16,
             _ => cluster - 1,
         };
-        let start = random.below(700) as u16;
+        let start = random.below(u64::from(scanner.last()) - 68) as u16;
         let end = start + (points - 1) * cluster + rest;
         // With these angles, both forms are one.
         let is_both = form == Form::UrgNode && cluster % 2 == 1 && rest == 0 && cluster > 1;
-        if end <= 768 && !is_both {
+        if end <= scanner.last() && !is_both {
             return window(start, end, cluster as u8);
         }
     }
@@ -116,7 +180,13 @@ fn header_kind(random: &mut Random, form: Form) -> u8 {
 }
 
 /// Writes a scan of `window`. Returns its CDR, and what it means.
-fn message(random: &mut Random, form: Form, window: Window, stamp: i64) -> (Vec<u8>, Expected) {
+fn message(
+    random: &mut Random,
+    form: Form,
+    scanner: Scanner,
+    window: Window,
+    stamp: i64,
+) -> (Vec<u8>, Expected) {
     let kind = header_kind(random, form);
     let is_big = kind.is_multiple_of(2);
     let mut out = vec![0, kind, 0, random.below(4) as u8];
@@ -140,28 +210,32 @@ fn message(random: &mut Random, form: Form, window: Window, stamp: i64) -> (Vec<
         Form::UrgNode => (first, last),
         _ => (middle, middle + cluster * (points - 1) as f64),
     };
-    let (mut from, mut to, mut by) = ((from - 384.0) * STEP, (to - 384.0) * STEP, cluster * STEP);
+    let (front, step) = (f64::from(scanner.front()), scanner.step());
+    let (mut from, mut to, mut by) = ((from - front) * step, (to - front) * step, cluster * step);
     if form == Form::OtherLaser {
         match random.below(4) {
-            0 => (from, by) = (from + STEP / 3.0, by),
+            0 => (from, by) = (from + step / 3.0, by),
             // Clockwise, as of a sensor that is mounted upside down.
             1 => (from, to, by) = (to, from, -by),
-            2 => by *= 0.7,
+            2 => by *= 0.73,
             _ => (from, to) = (f64::NAN, to),
         }
     }
     let (scan_time, revolution) = *random.pick(&REVOLUTIONS);
-    let increment = scan_time * cluster as f32 / 1024.0;
-    let fields = [from as f32, to as f32, by as f32, increment, scan_time, 0.02, 5.6];
+    let nominal = if scanner.resolution == 1024 { SECOND / 10 } else { SECOND / 40 };
+    let revolution = revolution.unwrap_or(nominal);
+    let increment = scan_time * cluster as f32 / f32::from(scanner.resolution);
+    let (least, most) = (scanner.limits.0 / 1000.0, scanner.limits.1 / 1000.0);
+    let fields = [from as f32, to as f32, by as f32, increment, scan_time, least, most];
     fields.iter().for_each(|field| put(&mut out, field.to_le_bytes()));
     put(&mut out, (points as u32).to_le_bytes());
     let mut values = Vec::new();
     for _ in 0..points {
-        let distance = 20 + random.below(4075) as u16;
-        let common = (f32::from(distance) / 1000.0, u32::from(distance));
-        let (range, value) = if random.once_in(3) { *random.pick(&RANGES) } else { common };
+        let distance = 23 + random.below(scanner.limits.1 as u64 - 22) as u32;
+        let range =
+            if random.once_in(3) { *random.pick(&RANGES) } else { distance as f32 / 1000.0 };
         put(&mut out, range.to_le_bytes());
-        values.push(value);
+        values.push(scanner.value(range));
     }
     let whole = out.len();
     put(&mut out, 0_u32.to_le_bytes());
@@ -170,11 +244,12 @@ fn message(random: &mut Random, form: Form, window: Window, stamp: i64) -> (Vec<
         Form::Compressed => out.splice(..0, [0x28, 0xb5, 0x2f, 0xfd]).for_each(drop),
         _ => {}
     }
-    (out, Expected { window, values, first_ray: stamp, revolution })
+    (out, Expected { scanner, window, values, first_ray: stamp, revolution })
 }
 
-/// Writes a bag of up to 40 messages, described as a recording of `described` or not.
-fn bag(random: &mut Random, described: Option<Window>) -> (Vec<u8>, Truth) {
+/// Writes a bag of up to 40 messages, described as a recording of `described` or not. Most have one
+/// scanner.
+fn bag(random: &mut Random, described: Option<(Scanner, Window)>) -> (Vec<u8>, Truth) {
     let options = WriteOptions::new().compression(None).chunk_size(Some(1 + random.below(4000)));
     let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
     let scan = "sensor_msgs/msg/LaserScan";
@@ -188,17 +263,21 @@ fn bag(random: &mut Random, described: Option<Window>) -> (Vec<u8>, Truth) {
         let schema = writer.add_schema_with_id(id, name, "ros2msg", b"").unwrap();
         writer.add_channel_with_id(id, schema, topic, encoding, &BTreeMap::new()).unwrap();
     }
-    if let Some(window) = described {
+    if let Some((scanner, window)) = described {
         let fields = [
             ("start", window.start()),
             ("end", window.end()),
             ("cluster", window.cluster_count().into()),
         ];
-        let metadata = fields.map(|(key, value)| (key.to_owned(), value.to_string())).into();
+        let fields = fields.map(|(key, value)| (key.to_owned(), value.to_string()));
+        let told = if scanner == SCANNERS[0] { Vec::new() } else { scanner.parameters() };
+        let metadata = fields.into_iter().chain(told).collect();
         writer.write_metadata(&Metadata { name: "tokio_scip".to_owned(), metadata }).unwrap();
     }
     let mut truth = Truth::default();
-    let mut window = any_window(random, Form::Defined);
+    let mut scanner = described.map_or_else(|| *random.pick(&SCANNERS), |(scanner, _)| scanner);
+    let is_mixed = random.once_in(4);
+    let mut window = any_window(random, Form::Defined, scanner);
     let (mut log_time, mut stamp) = (1_700_000_000 * SECOND, 1_700_000_000 * SECOND);
     let (log_step, stamp_step) =
         (*random.pick(&[SECOND / 10, 0]), *random.pick(&[SECOND / 10, 0, -SECOND / 10]));
@@ -208,13 +287,14 @@ fn bag(random: &mut Random, described: Option<Window>) -> (Vec<u8>, Truth) {
     for sequence in 0..random.below(40) as u32 {
         let form = if random.once_in(2) { Form::Defined } else { *random.pick(&FORMS) };
         if random.once_in(8) {
-            window = any_window(random, Form::Defined);
+            scanner = if is_mixed { *random.pick(&SCANNERS) } else { scanner };
+            window = any_window(random, Form::Defined, scanner);
         }
-        let written = match form {
-            Form::UrgNode => any_window(random, form),
-            _ => described.filter(|_| random.once_in(2)).unwrap_or(window),
+        let (scanner, written) = match form {
+            Form::UrgNode => (scanner, any_window(random, form, scanner)),
+            _ => described.filter(|_| random.once_in(2)).unwrap_or((scanner, window)),
         };
-        let (data, expected) = message(random, form, written, stamp);
+        let (data, expected) = message(random, form, scanner, written, stamp);
         let channel_id = match form {
             Form::Ros1 => 2,
             Form::OtherType => 3,
@@ -239,7 +319,7 @@ fn bag(random: &mut Random, described: Option<Window>) -> (Vec<u8>, Truth) {
             Form::OtherType => Some(LeftOutReason::OtherType),
             Form::OtherTopic => Some(LeftOutReason::OtherTopic),
         };
-        let is_other = described.is_some_and(|described| described != expected.window);
+        let is_other = described.is_some_and(|described| described != (scanner, expected.window));
         match reason.or(is_other.then_some(LeftOutReason::OtherWindow)) {
             Some(reason) => *truth.left_out.entry(reason).or_default() += 1,
             None => truth.scans.push(expected),
@@ -264,6 +344,9 @@ fn check(scan: &Scan, expected: &Expected) {
         (scan.window(), scan.raw_values().collect()),
         (expected.window, expected.values.clone())
     );
+    let ahead = scan.geometry().degrees(expected.scanner.front());
+    let resolution = scan.geometry().steps_per_revolution();
+    assert_eq!((ahead, resolution), (0.0, expected.scanner.resolution));
     let near = |found: Duration, wanted: i64| {
         let error = (found.as_nanos() as i64 - wanted).abs();
         assert!(error < 3_000, "{found:?}: {error} ns from {wanted}");
@@ -280,7 +363,10 @@ async fn every_message_is_a_scan_or_counted() {
     let mut totals = BTreeMap::new();
     for seed in seeds("URG_FOREIGN", 400) {
         let random = &mut Random::new(seed);
-        let described = random.once_in(3).then(|| any_window(random, Form::Defined));
+        let described = random.once_in(3).then(|| {
+            let scanner = *random.pick(&SCANNERS);
+            (scanner, any_window(random, Form::Defined, scanner))
+        });
         let (file, truth) = bag(random, described);
         let mut recorded = open(&file).scans();
         let mut scans = Vec::new();
@@ -307,9 +393,16 @@ async fn every_message_is_a_scan_or_counted() {
         let recording = open(&file);
         let counter = recording.left_out();
         let replayed = replayed(recording, first.window).await;
-        assert_eq!(counted(&counter.counts()), truth.left_out, "{seed}: replayed");
-        assert_eq!(replayed.len(), scans.len(), "{seed}: replayed");
-        for (replayed, expected) in replayed.iter().zip(&truth.scans) {
+        // A replay is of one sensor.
+        let (same, others): (Vec<_>, Vec<_>) =
+            truth.scans.iter().partition(|scan| scan.scanner == first.scanner);
+        let mut left_out = truth.left_out;
+        if !others.is_empty() {
+            *left_out.entry(LeftOutReason::OtherLaser).or_default() += others.len() as u64;
+        }
+        assert_eq!(counted(&counter.counts()), left_out, "{seed}: replayed");
+        assert_eq!(replayed.len(), same.len(), "{seed}: replayed");
+        for (replayed, expected) in replayed.iter().zip(same) {
             if expected.window == first.window {
                 assert!(
                     replayed.raw_values().eq(expected.values.iter().copied()),
@@ -339,7 +432,7 @@ fn a_part_shows_the_stream_that_it_has() {
         writer.add_channel_with_id(1, schema, "/scan", "cdr", &BTreeMap::new()).unwrap();
         for tenth in seconds.start * 10..seconds.end * 10 {
             let stamp = 1_700_000_000 * SECOND + tenth * SECOND / 10;
-            let (data, _) = message(&mut Random::new(1), Form::Defined, window, stamp);
+            let (data, _) = message(&mut Random::new(1), Form::Defined, SCANNERS[0], window, stamp);
             let log_time = stamp as u64;
             let header =
                 MessageHeader { channel_id: 1, sequence: 0, log_time, publish_time: log_time };

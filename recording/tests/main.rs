@@ -26,6 +26,7 @@ mod histories;
 mod hostile;
 mod index;
 mod memory;
+mod models;
 mod nine_sensors;
 mod parts;
 mod pieces;

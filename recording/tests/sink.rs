@@ -75,11 +75,16 @@ pub(crate) fn sensor() -> Emulator {
     model(Model::Urg04lx)
 }
 
-/// Returns a sensor of this model whose scans all differ.
+/// Returns a sensor of this model whose scans all differ. In SCIP 2, values have all 18 bits.
 pub(crate) fn model(model: Model) -> Emulator {
-    let world = |time: WorldTime, codes: &mut Values| {
+    let (factor, most) = match model {
+        Model::Urg04lx => (3, 4096),
+        Model::Urg04lxUg01 => (5, 8192),
+        _ => (331, 1 << 18),
+    };
+    let world = move |time: WorldTime, codes: &mut Values| {
         for (step, slot) in codes.iter_mut().enumerate() {
-            *slot = ((time.request * 7 + step as u64 * 3) % 4096) as u32;
+            *slot = ((time.request * 7 + step as u64 * factor) % most) as u32;
         }
     };
     Emulator::builder().model(model).world(world).build()
@@ -138,7 +143,9 @@ pub(crate) async fn next(
 /// Returns the scans of a replay of `window`, as fast as possible.
 pub(crate) async fn replayed(recording: Recording, window: Window) -> Vec<Scan> {
     let replay = recording.replay(ReplayPace::Max).unwrap();
-    let sensor = Sensor::builder().depth(1 << 16).connect(replay).await.unwrap();
+    // A sensor that measures none sends none.
+    let builder = Sensor::builder().depth(1 << 16).intensities(true);
+    let sensor = builder.connect(replay).await.unwrap();
     let mut stream = sensor.scans(window, Rate::UNLIMITED).await.unwrap();
     let mut scans = Vec::new();
     while let Some(scan) = stream.next().await {

@@ -4,7 +4,7 @@ use std::time::SystemTime;
 
 use tokio::time::Instant;
 
-use crate::protocol::{Command, Protocol};
+use crate::protocol::{Command, Protocol, scip2};
 
 /// Frame that the sensor sent after a command. The observers of
 /// [`SensorBuilder::on_reply`](crate::SensorBuilder::on_reply) and
@@ -13,11 +13,15 @@ use crate::protocol::{Command, Protocol};
 #[derive(Debug, Clone, Copy)]
 #[non_exhaustive]
 pub struct RawReply<'a> {
-    /// Protocol of the request. In [`Protocol::Scip2`] the frame begins with the request.
+    /// Protocol that the sensor speaks.
     pub protocol: Protocol,
     /// Command of SCIP 1.1 that the frame answers, even if the reply is malformed. `None` for the
     /// reply to a fence and for a frame with another echo.
     pub command: Option<Command>,
+    /// Request of SCIP 2 that the frame answers, even if the reply is malformed. The frame begins with
+    /// it, unless an earlier reply was cut short. `None` for the reply to a probe, and for a frame of
+    /// another request.
+    pub request: Option<scip2::Request>,
     /// Bytes as received, without the two LFs at the end and without NULs at the front.
     pub bytes: &'a [u8],
     /// When the last byte was read, on tokio's clock. Equal to the time of its [`Scan`](crate::Scan) to

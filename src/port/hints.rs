@@ -90,7 +90,8 @@ pub trait PortHints {
     ///
     /// A wrong clock makes wrong stamps. Replayed bytes tell nothing about the sensor's motor, so
     /// their scans have [`StampQuality::Arrival`](crate::scan::StampQuality::Arrival). The driver
-    /// schedules and times out by tokio's clock alone.
+    /// polls a replay and never asks it for a stream. It schedules and times out by tokio's clock
+    /// alone.
     fn wall_clock(&mut self) -> Option<SystemTime> {
         None
     }

@@ -91,6 +91,25 @@ impl Geometry {
         }
     }
 
+    /// Value of a step of which nothing is known: its range is `NaN`.
+    pub const fn unknown_value(&self) -> u32 {
+        match self.codes {
+            None | Some(Codes::Urg) => 19,
+            Some(_) => 0,
+        }
+    }
+
+    /// Value of a step whose object may be beyond the range: its range is `+Inf`.
+    pub const fn far_value(&self) -> u32 {
+        match self.codes {
+            None => 16,
+            Some(Codes::Urg) => 0,
+            Some(Codes::Utm) => 1,
+            Some(Codes::Ethernet) => 65_533,
+            Some(Codes::Unknown) => self.max_distance.saturating_add(1),
+        }
+    }
+
     /// Angle between two neighbouring steps in radians.
     pub(crate) fn step_angle(&self) -> f64 {
         std::f64::consts::TAU / f64::from(self.steps_per_revolution)
@@ -118,7 +137,7 @@ impl Geometry {
     }
 
     /// Steps that the sensor answers for. In SCIP 1.1 there are more than it measures.
-    pub(super) const fn answered_steps(&self) -> RangeInclusive<u16> {
+    pub const fn answered_steps(&self) -> RangeInclusive<u16> {
         match self.codes {
             None => 0..=768,
             Some(_) => self.steps(),

@@ -158,8 +158,12 @@ impl Window {
     }
 
     /// Returns this window with the steps of a sensor.
+    ///
+    /// # Errors
+    ///
+    /// [`WindowError::NotMeasured`] if the sensor does not measure all of it.
     #[inline(never)]
-    pub(crate) fn resolve(self, geometry: &Geometry) -> Result<Self, WindowError> {
+    pub fn resolve(self, geometry: &Geometry) -> Result<Self, WindowError> {
         let answered = geometry.answered_steps();
         let (start, end) = match self.wish {
             Wish::All => {
@@ -191,8 +195,9 @@ impl Window {
             && (self.wish != Wish::Steps || self == other)
     }
 
-    /// Returns true if a scan of this window shows all of `other`.
-    pub(crate) fn holds(&self, other: &Self) -> bool {
+    /// Returns true if a scan of this window shows all of `other`, as a stream that serves both does.
+    #[doc(hidden)]
+    pub fn holds(&self, other: &Self) -> bool {
         let is_inside = self.start <= other.start && other.end <= self.end;
         self == other || self.cluster_count == 1 && is_inside
     }

@@ -7,6 +7,7 @@ pub use self::builder::SensorBuilder;
 use crate::RawReply;
 use crate::driver::{Client, ReplyObservation, Request};
 use crate::port::Endpoint;
+use crate::protocol::scip2::Parameters;
 use crate::protocol::{Command, Protocol, Version};
 use crate::state::{Freshness, StateWatch};
 use crate::stats::Stats;
@@ -88,6 +89,12 @@ impl Sensor {
             Some(geometry) => Ok(geometry),
             None => self.client.ask(Request::Geometry).await,
         }
+    }
+
+    /// What the sensor told about itself in SCIP 2 (`PP`) when the driver opened the link: its model,
+    /// and its geometry in numbers. `None` in SCIP 1.1, and without a link.
+    pub fn parameters(&self) -> Option<Parameters> {
+        Some(self.client.shared().link.version_reply()?.parameters?.parameters.clone())
     }
 
     /// Switches the laser on (`L1`, p. 4), and confirms it. Succeeds if the laser is on already.
@@ -176,8 +183,8 @@ impl Sensor {
     /// Observes every reply from now on, to record or log the bytes of a sensor that is open
     /// already.
     ///
-    /// Before this method returns, it calls your observer with the latest reply to `V`, if there is
-    /// a link. From then on the driver calls it in its task, as it calls the observers of
+    /// Before this method returns, it calls your observer with the latest replies to `V`, or to `PP`
+    /// and `VV`, if there is a link. From then on the driver calls it in its task, as it calls the observers of
     /// [`on_reply`](SensorBuilder::on_reply). Drop the observation to end it. A call that has begun
     /// on another thread may return after that.
     ///
@@ -198,13 +205,17 @@ impl Sensor {
         observer: impl Fn(RawReply<'_>) + Send + Sync + 'static,
     ) -> ReplyObservation {
         if let Some(version) = self.client.shared().link.version_reply() {
-            observer(RawReply {
-                protocol: version.protocol,
-                command: (version.protocol == Protocol::Scip1).then_some(Command::Version),
-                bytes: &version.frame,
-                received_at: version.received_at,
-                stamp: version.stamp,
-            });
+            let parameters = version.parameters.as_ref().map(|reply| &reply.frame);
+            for frame in parameters.into_iter().chain([&*version.frame]) {
+                observer(RawReply {
+                    protocol: frame.request.map_or(Protocol::Scip1, |_| Protocol::Scip2),
+                    command: frame.request.is_none().then_some(Command::Version),
+                    request: frame.request,
+                    bytes: &frame.bytes,
+                    received_at: frame.received_at,
+                    stamp: frame.stamp,
+                });
+            }
         }
         self.client.observers().observe_until_dropped(observer)
     }

@@ -8,7 +8,7 @@ use tokio::time::Instant;
 
 use super::link_log::LinkLog;
 use super::{State, StateWatch, lock};
-use crate::protocol::{Protocol, Version};
+use crate::protocol::{Version, scip2};
 use crate::{BaudRate, Error, ErrorChain, ErrorKind, Geometry};
 
 /// A driver that waits for its sensor repeats each reason in the log after this time.
@@ -22,13 +22,29 @@ pub(crate) struct LinkState {
     log: Mutex<LinkLog>,
 }
 
-/// Reply to `V` or `VV`: parsed, and as received.
+/// Reply to `V` or `VV`, and to `PP`.
 #[derive(Debug, Clone)]
 pub(crate) struct VersionReply {
-    pub(crate) protocol: Protocol,
     pub(crate) version: Version,
+    pub(crate) frame: Arc<KnownFrame>,
+    /// Reply to `PP` in SCIP 2.
+    pub(crate) parameters: Option<Arc<ParametersReply>>,
+}
+
+/// Reply to `PP`.
+#[derive(Debug)]
+pub(crate) struct ParametersReply {
+    pub(crate) parameters: scip2::Parameters,
+    pub(crate) frame: KnownFrame,
+}
+
+/// Reply as received.
+#[derive(Debug)]
+pub(crate) struct KnownFrame {
+    /// Request in SCIP 2.
+    pub(crate) request: Option<scip2::Request>,
     /// Bytes without the terminator.
-    pub(crate) frame: Arc<[u8]>,
+    pub(crate) bytes: Box<[u8]>,
     pub(crate) received_at: Instant,
     /// Wall clock when the first byte arrived.
     pub(crate) stamp: SystemTime,

@@ -31,7 +31,7 @@ pub(crate) use self::counters::Counters;
 #[doc(no_inline)]
 pub use self::freshness::Freshness;
 pub use self::freshness::StaleError;
-pub(crate) use self::link_state::{LinkState, VersionReply};
+pub(crate) use self::link_state::{KnownFrame, LinkState, ParametersReply, VersionReply};
 pub(crate) use self::shared::Shared;
 #[doc(no_inline)]
 pub use self::state::State;

@@ -200,3 +200,27 @@ fn a_connection_that_is_closed_may_be_a_sensor_that_boots() {
     let error = run(&format!("info tcp://{port}"), 1).stderr;
     assert!(error.contains("may still boot, or serve another client"), "{error}");
 }
+
+#[test]
+fn a_recording_of_a_model_is_read_as_the_sensor() {
+    let (_runtime, port) = ust();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let path = path.display();
+    run(&format!("record {port} {path} --count 20"), 0);
+    let info = run(&format!("info {path}"), 0).stdout;
+    for row in ["scans          20 of steps 0..=1080", "23 to 60000 mm", "left out       none"] {
+        assert!(info.contains(row), "{row} is not in\n{info}");
+    }
+    run(&format!("check {path}"), 0);
+    let part = folder.path().join("part.mcap");
+    run(&format!("cut {path} {} --range 100ms..", part.display()), 0);
+    for (file, least) in [(path.to_string(), 20), (part.display().to_string(), 10)] {
+        let text = run(&format!("stream {file} --format ndjson --rate max"), 0).stdout;
+        let all = scans(&text);
+        assert!(all.len() >= least, "{}", all.len());
+        let last = all.last().unwrap();
+        assert_eq!((&last["start"], &last["end"]), (&0.into(), &1080.into()));
+        assert_eq!(last["values"].as_array().unwrap().len(), 1081);
+    }
+}

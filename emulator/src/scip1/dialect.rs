@@ -81,7 +81,7 @@ impl Dialect {
             Command::Scan(_) if !body.is_laser_on => status(line, b'6'),
             Command::Scan(steps) => {
                 // The minimum over raw values: an error code is less than any distance (p. 6).
-                let geometry = body.model.geometry(false);
+                let geometry = body.geometry(false);
                 let points = body.points(&geometry, steps, false, measure, |value| value);
                 let values: Vec<u32> = points.into_iter().map(|(value, _)| value).collect();
                 Answer { bytes: encode::distances(line, &values), effect: Effect::Scan }

@@ -3,7 +3,7 @@
 use std::cmp::Ordering;
 use std::ops::Range;
 
-use crate::body::Steps;
+use crate::body::{Body, Steps};
 use crate::models::Model;
 use tokio_scip::BaudRate;
 
@@ -111,13 +111,14 @@ impl Command {
     ///
     /// The status to answer with. Where the text (p. 10 to 23) leaves open which, it is this
     /// emulator's choice.
-    pub(crate) fn parse(line: &[u8], too_long: bool, model: Model) -> Result<Self, Refusal> {
+    pub(crate) fn parse(line: &[u8], too_long: bool, body: &Body) -> Result<Self, Refusal> {
         let mut parts = line.splitn(2, |&byte| byte == b';');
-        let (body, text) = (parts.next().unwrap_or_default(), parts.next().unwrap_or_default());
-        let letters = if body.starts_with(b"%") { 3 } else { 2 };
-        let (letters, digits) = body.split_at_checked(letters).ok_or(b"0E")?;
+        let (command, text) = (parts.next().unwrap_or_default(), parts.next().unwrap_or_default());
+        let letters = if command.starts_with(b"%") { 3 } else { 2 };
+        let (letters, digits) = command.split_at_checked(letters).ok_or(b"0E")?;
         let is_it = |(known, _, models, _): &&Form| {
-            known.split(' ').any(|known| known.as_bytes() == letters) && models.contains(&model)
+            known.split(' ').any(|known| known.as_bytes() == letters)
+                && models.contains(&body.model)
         };
         let (_, count, _, read) = FORMS.iter().find(is_it).ok_or(b"0E")?;
         if text.len() > MAX_TEXT_BYTES || too_long {
@@ -129,7 +130,7 @@ impl Command {
         match digits.len().cmp(count) {
             Ordering::Less => Err(b"0C"),
             Ordering::Greater => Err(b"0D"),
-            Ordering::Equal => read(Digits { letters, digits, model }),
+            Ordering::Equal => read(Digits { letters, digits, body }),
         }
     }
 
@@ -145,7 +146,7 @@ impl Command {
 struct Digits<'a> {
     letters: &'a [u8],
     digits: &'a [u8],
-    model: Model,
+    body: &'a Body,
 }
 
 impl Digits<'_> {
@@ -187,7 +188,7 @@ impl Digits<'_> {
     fn sensitivity(self) -> Result<Command, Refusal> {
         match self.digits {
             // Seen on a URG-04LX with firmware 3.1.04.
-            _ if self.model == Model::Urg04lx => Err(b"0C"),
+            _ if self.body.model == Model::Urg04lx => Err(b"0C"),
             b"0" | b"1" => Ok(Command::Sensitivity),
             _ => Err(b"01"),
         }
@@ -209,7 +210,7 @@ impl Digits<'_> {
             _ => Data::Distances,
         };
         match () {
-            () if end > self.model.geometry(true).end => Err(b"04"),
+            () if end > self.body.geometry(true).end => Err(b"04"),
             () if start > end => Err(b"05"),
             () => Ok(Asked { data, steps: Steps { start, end, cluster }, unit: self.unit() }),
         }

@@ -78,7 +78,7 @@ impl Session {
 
     /// Starts the stream that a host has left, of all steps of the sensor's window.
     pub(crate) fn leave_streaming(&mut self, body: &mut Body, now: Instant) {
-        let geometry = body.model.geometry(true);
+        let geometry = body.geometry(true);
         let line = format!("MD{:04}{:04}01000", geometry.first, geometry.last);
         let steps = Steps { start: geometry.first, end: geometry.last, cluster: 1 };
         let asked = Asked { data: Data::Distances, steps, unit: Unit::Milliseconds };
@@ -95,7 +95,7 @@ impl Session {
         measure: Measure<'_>,
     ) -> Answer {
         let line = &arrived.bytes[..];
-        let command = match Command::parse(line, arrived.too_long, body.model) {
+        let command = match Command::parse(line, arrived.too_long, body) {
             Err(refusal) => return status(line, refusal),
             Ok(_) if arrived.repeated => return status(line, b"0B"),
             Ok(command) => command,
@@ -199,19 +199,28 @@ impl Session {
         })
     }
 
-    /// Next scan of the stream, with what `II` has done to it; or a status in its place.
+    /// Begins the next scan of the stream.
+    pub(crate) fn count_down(&mut self) -> Option<&Stream> {
+        let stream = self.stream.as_mut().filter(|_| !self.is_locked)?;
+        stream.count_down();
+        Some(stream)
+    }
+
+    /// Scan of the stream that has [begun](Self::count_down), with what `II` has done to it; or a status
+    /// or the bytes of a script in its place.
     pub(crate) fn next_scan(
         &mut self,
         body: &mut Body,
         times: Times,
         refusal: Option<u8>,
+        scripted: Option<Vec<u8>>,
         measure: Measure<'_>,
     ) -> Vec<u8> {
         let Some(stream) = &mut self.stream else { return Vec::new() };
-        stream.count_down();
-        let mut bytes = match refusal {
-            Some(refusal) => encode::status_only(&stream.echo, [b'0', refusal]),
-            None => {
+        let mut bytes = match (refusal, scripted) {
+            (Some(refusal), _) => encode::status_only(&stream.echo, [b'0', refusal]),
+            (None, Some(scripted)) => scripted,
+            (None, None) => {
                 let is_halved = stream.is_halved;
                 scan(body, &stream.echo, *b"99", stream.asked, times, is_halved, measure)
             }
@@ -297,7 +306,7 @@ fn scan(
     is_halved: bool,
     measure: Measure<'_>,
 ) -> Vec<u8> {
-    let geometry = body.model.geometry(true);
+    let geometry = body.geometry(true);
     let has_intensity = asked.data == Data::Intensities;
     // The minimum without the values that are no distance (p. 10).
     let rank = |value| (!geometry.is_distance(value), value);

@@ -42,8 +42,11 @@ fn model(model: Model) -> &'static str {
 }
 
 /// Lines of the reply to `PP`.
-pub(super) fn parameters(body: &Body) -> Vec<String> {
-    let geometry = body.model.geometry(true);
+pub(super) fn parameters(body: &Body) -> Vec<Vec<u8>> {
+    if let Some(lines) = body.parameter_lines() {
+        return lines;
+    }
+    let geometry = body.geometry(true);
     let mut lines = vec![
         model(body.model).to_owned(),
         format!("DMIN:{}", geometry.nearest),
@@ -57,7 +60,7 @@ pub(super) fn parameters(body: &Body) -> Vec<String> {
     if body.model == Model::Ust10lx {
         lines.insert(3, "PROT:SCIP 2.2".to_owned());
     }
-    lines
+    lines.into_iter().map(String::into_bytes).collect()
 }
 
 /// Lines of the reply to `II`. The time is in milliseconds, and in characters.

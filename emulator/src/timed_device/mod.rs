@@ -69,7 +69,8 @@ pub(super) struct TimedDevice {
     unanswered_until: Instant,
     /// Sorted by time.
     events: VecDeque<(Instant, TimedEvent)>,
-    /// The next scan of a stream is of the revolution that ends after this time.
+    /// The next scan of a stream is of the revolution that ends after this time. A script sends it at
+    /// this time, if it is due.
     next_stream: Instant,
 }
 
@@ -227,7 +228,10 @@ impl TimedDevice {
             let first = self.waiting.front();
             serve = first.map(|arrived| (self.serve_at(arrived), NextAction::ServeCommand));
             if self.device.session.stream().is_some() {
-                let at = self.motor.next_end(self.next_stream);
+                let at = match self.source.playback {
+                    Some(_) => self.next_stream,
+                    None => self.motor.next_end(self.next_stream),
+                };
                 stream = Some((at, NextAction::StreamScan));
             }
         }

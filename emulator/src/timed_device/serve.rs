@@ -68,12 +68,14 @@ impl TimedDevice {
         if let Some(status) = refusal(faults) {
             return self.device.refuse(&line.bytes, status).into();
         }
-        let (time, times) = self.times(at, faults);
+        let (time, mut times) = self.times(at, faults);
         if let NextReply::At(_) = self.source.next_reply(&self.device, line, at)
             && let Some(playback) = &mut self.source.playback
-            && let Some(reply) = playback.advance(&line.bytes, at)
         {
-            return reply.into();
+            if let Some(reply) = playback.advance(&line.bytes, at) {
+                return reply.into();
+            }
+            times.scan = playback.script.clock().unwrap_or(times.scan);
         }
         let before = faults.contains(&Fault::Ignored).then(|| self.device.clone());
         let mut measure = self.source.measure_at(time);
@@ -131,20 +133,42 @@ impl TimedDevice {
         self.journal.record_scan(SentScan { requested_at, revolution_end, time });
     }
 
-    /// Sends a scan of a stream at the end of its revolution.
+    /// Sends a scan of a stream at the end of its revolution, or when the script has it.
     pub(super) fn stream_scan(&mut self, at: Instant) {
-        let Some(stream) = self.device.session.stream() else { return };
-        let (faults, random) = self.faults.draw(&stream.echo);
+        self.source.prepare();
+        match self.source.playback.as_ref().map(|playback| playback.due(at)) {
+            Some(None) => {
+                (self.is_hung_up, self.is_gone) = (true, true);
+                self.next_stream = at + self.motor.period();
+                return;
+            }
+            Some(Some(due)) if due > at => {
+                self.next_stream = due;
+                return;
+            }
+            Some(Some(_)) | None => {}
+        }
+        let Some(stream) = self.device.session.count_down() else { return };
         let (requested_at, skipped) = (stream.requested_at, stream.skipped);
+        let echo = stream.echo.clone();
+        let (faults, random) = self.faults.draw(&echo);
         self.journal.counts.replies += 1;
-        let (time, times) = self.times(at, &faults);
+        let (time, mut times) = self.times(at, &faults);
         let refusal = refusal(&faults);
+        let mut scripted = None;
+        if let Some(playback) = self.source.playback.as_mut().filter(|_| refusal.is_none()) {
+            scripted = playback.advance(&echo, at);
+            times.scan = playback.script.clock().unwrap_or(times.scan);
+        }
         let mut measure = self.source.measure_at(time);
         let Device { session, body, .. } = &mut self.device;
-        let bytes = session.next_scan(body, times, refusal, &mut measure);
+        let bytes = session.next_scan(body, times, refusal, scripted, &mut measure);
         drop(measure);
         // A slow line costs whole revolutions.
-        let next = self.motor.end(self.motor.finished(at) + u64::from(skipped));
+        let next = match self.source.playback {
+            Some(_) => at,
+            None => self.motor.end(self.motor.finished(at) + u64::from(skipped)),
+        };
         self.next_stream = next.max(at + self.byte_time() * bytes.len() as u32);
         if faults.contains(&Fault::CommandLost) {
             return;

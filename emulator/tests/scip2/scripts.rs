@@ -3,6 +3,7 @@
 use std::io;
 use std::time::{Duration, SystemTime};
 
+use tokio::io::AsyncReadExt;
 use tokio::time::sleep;
 use urg_emulator::{Emulator, Mode, Model, ReplayPace, Script, Values};
 
@@ -36,8 +37,13 @@ impl Script for Counting {
         None
     }
 
-    fn measure(&self, values: &mut Values) {
-        values.fill(self.0);
+    fn measure(&self, distances: &mut Values, intensities: &mut Values) {
+        distances.fill(self.0);
+        intensities.fill(2 * self.0);
+    }
+
+    fn clock(&self) -> Option<u64> {
+        Some(1000 * u64::from(self.0))
     }
 }
 
@@ -71,5 +77,27 @@ async fn a_script_answers_in_both_protocols() {
         }
         // The end: the link is hung up.
         assert_eq!(ask(&mut link, command).await, "");
+    }
+}
+
+/// Each scan once, whatever a stream leaves out of a world's, with the script's time.
+#[tokio::test(start_paused = true)]
+async fn a_stream_sends_the_whole_script() {
+    for (command, values) in [
+        ("MD0000000101000", ["01U01U", "01V01V", "01W01W"]),
+        ("ME0000000101500", ["01U03:", "01V03<", "01W03>"]),
+    ] {
+        let mut link = scripted(Model::Utm30lx, Mode::Scip2).link();
+        assert_eq!(ask(&mut link, command).await, format!("{command}\n00P\n\n"));
+        let mut sent = String::new();
+        link.read_to_string(&mut sent).await.unwrap();
+        let scans: Vec<&str> = sent.split_terminator("\n\n").collect();
+        for ((scan, expected), clock) in scans.iter().zip(values).zip(["01U", "01V", "01W"]) {
+            let lines: Vec<&str> = scan.lines().collect();
+            assert_eq!(lines[..2], [command, "99b"]);
+            assert_eq!(&lines[2][1..4], clock);
+            assert!(lines[3].starts_with(expected), "{scan}");
+        }
+        assert_eq!(scans.len(), 3);
     }
 }

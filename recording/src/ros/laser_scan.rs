@@ -51,6 +51,8 @@ pub struct LaserScan {
     pub range_max: f32,
     /// Ranges as REP 117 defines them: not finite for a direction without a distance.
     pub ranges: Vec<f32>,
+    /// Strengths of the reflections, one for each range, or none.
+    pub intensities: Vec<f32>,
 }
 
 /// Encodes `scan` as a `sensor_msgs/msg/LaserScan` into `out`, replacing its content.
@@ -104,5 +106,7 @@ fn read_fields(mut cdr: CdrReader<'_>) -> Option<LaserScan> {
         range_min: cdr.f32()?,
         range_max: cdr.f32()?,
         ranges: cdr.f32s()?,
+        // Some programs leave out what is empty.
+        intensities: cdr.f32s().unwrap_or_default(),
     })
 }

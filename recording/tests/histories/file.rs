@@ -35,7 +35,8 @@ impl Message {
 
     /// Returns true for the sensor's version, which each file of a split recording repeats.
     pub(super) fn is_version(&self) -> bool {
-        self.label() == Some(b"V\0")
+        let label = self.label().and_then(|label| label.split(|byte| b";\0".contains(byte)).next());
+        [Some(&b"V"[..]), Some(b"VV"), Some(b"PP")].contains(&label)
     }
 
     /// Topic and frames of a message that a part begins with if it lies before the part.
@@ -52,15 +53,30 @@ impl Message {
 
     /// Returns true if the time of a part counts from here.
     pub(super) fn is_scan(&self) -> bool {
-        let is_poll =
-            self.label().is_some_and(|label| label.starts_with(b"G") && label.len() == 10);
-        is_poll || self.is_laser_scan() && super::foreign::is_readable(&self.data)
+        // With its NUL, and in SCIP 2 with a label of eight characters.
+        let is_request = self.label().is_some_and(|label| match label.first() {
+            Some(b'G') => matches!(label.len(), 10 | 22),
+            Some(b'M') => label.len() == 25,
+            _ => false,
+        });
+        // The laser is off, or the scans of a stream follow.
+        let is_status = [b"\n10Q\n\n", b"\n00P\n\n"].iter().any(|end| self.data.ends_with(*end));
+        is_request && !is_status || self.is_laser_scan() && super::foreign::is_readable(&self.data)
     }
 
     /// A topic whose type was lost with a damaged part is taken for what its name says.
     pub(super) fn is_laser_scan(&self) -> bool {
         let is_of_type = self.topic.contains("sensor_msgs/msg/LaserScan") || self.has_lost_type();
         self.topic.starts_with("/scan cdr ") && is_of_type
+    }
+
+    /// Returns true for a scan of this number of points, with or without intensities.
+    pub(super) fn has_points(&self, points: usize) -> bool {
+        [points, 2 * points].iter().any(|values| {
+            let ranges = self.data.len().checked_sub(4 * values + 8);
+            let length = ranges.and_then(|at| self.data.get(at..at + 4));
+            length == Some(&(points as u32).to_le_bytes()[..])
+        })
     }
 
     pub(super) fn has_lost_type(&self) -> bool {

@@ -24,7 +24,7 @@ use urg_recording::{Compression, Copied, Entry, Recording, RecordingError, cut, 
 
 use self::file::{Layout, Message, messages, plain, read, topics};
 use self::foreign::{bag, grown};
-use self::own::{Own, nanos, own};
+use self::own::{Delivered, Own, nanos, own};
 use crate::common::random::{Random, seeds};
 
 /// Number of scans from which the window of a stream without a description is known: the driver
@@ -55,8 +55,8 @@ struct File {
     is_loose: bool,
     /// True if its damage shows in a checksum.
     is_proved: bool,
-    /// Stamps of the only stream, if it is the file of one recording.
-    stream: Option<&'static BTreeSet<u64>>,
+    /// Scans of the only stream, if it is the file of one recording.
+    stream: Option<&'static Delivered>,
 }
 
 impl File {
@@ -226,9 +226,22 @@ fn written(bytes: Vec<u8>, counts: (u64, u64)) -> Result<File, Wrong> {
     Ok(file)
 }
 
-/// A scan without a reply has the time of its message's header, which is rounded.
-fn is_near(stamp: u64, of: &BTreeSet<u64>) -> bool {
-    of.range(stamp - 2_000..stamp + 2_000).count() > 0
+/// Says what differs between a scan and the same one as it was delivered. Without a reply, codes are
+/// known by their ranges alone.
+fn difference(found: &Scan, delivered: &Scan, has_reply: bool, is_told: bool) -> Option<String> {
+    let ranges = |scan: &Scan| -> Vec<u32> { scan.ranges().map(f32::to_bits).collect() };
+    let angles = |scan: &Scan| (scan.window(), scan.angle_min(), scan.angle_increment());
+    let limits = |scan: &Scan| (scan.range_min(), scan.range_max());
+    let text = match () {
+        () if angles(found) != angles(delivered) => "directions",
+        () if ranges(found) != ranges(delivered) => "ranges",
+        () if found.intensities() != delivered.intensities() => "intensities",
+        () if has_reply && !found.raw_values().eq(delivered.raw_values()) => "codes",
+        () if (has_reply || is_told) && found.geometry() != delivered.geometry() => "geometry",
+        () if (has_reply || is_told) && limits(found) != limits(delivered) => "limits",
+        () => return None,
+    };
+    Some(format!("{text} of scan {}: {found:?} of {delivered:?}", delivered.sequence()))
 }
 
 /// Number of histories whose files other readers read.
@@ -426,11 +439,18 @@ impl History {
         let is_same = file.is_loose || repaired.must.len() == file.may.len();
         is_so(told || is_same && !file.is_proved, || "a loss untold".to_owned())?;
         // The library reads as much of the damaged file.
-        let (mut read, mut damaged, mut stamps) = (0, 0, BTreeSet::new());
+        let (mut read, mut damaged, mut given) = (0, 0, BTreeSet::new());
         for scan in open(file.input(self.is_on_disk))?.scans() {
             match scan {
                 Ok(scan) => {
-                    stamps.extend(file.stream.map(|_| nanos(scan.times().stamp)));
+                    if let Some((stamp, delivered)) =
+                        file.stream.and_then(|stream| stream.find(&scan))
+                    {
+                        let wrong = difference(&scan, delivered, false, false);
+                        // Without a checksum, values may be damaged.
+                        is_so(wrong.is_none() || file.is_loose, || wrong.unwrap_or_default())?;
+                        given.insert(stamp);
+                    }
                     read += 1;
                 }
                 Err(RecordingError::Damaged { .. }) => damaged += 1,
@@ -446,8 +466,8 @@ impl History {
         let left = file.must.iter().filter(|message| message.is_scan());
         let left = left.map(|message| message.publish_time);
         let left: BTreeSet<u64> =
-            left.filter(|stamp| file.stream.is_some_and(|stream| stream.contains(stamp))).collect();
-        let hidden = left.iter().filter(|stamp| !is_near(**stamp, &stamps)).count();
+            left.filter(|stamp| file.stream.is_some_and(|stream| stream.has(*stamp))).collect();
+        let hidden = left.difference(&given).count();
         is_so(hidden == 0 || left.len() < WINDOW_POLLS, || {
             format!("hidden: {hidden} scans of {}", left.len())
         })?;
@@ -603,6 +623,18 @@ fn each_recorded_scan_is_given_back_once() {
         let (scans, replies): (Vec<_>, Vec<_>) =
             messages.iter().filter(|one| one.is_scan()).partition(|one| one.is_laser_scan());
         let stamps: BTreeSet<u64> = replies.iter().map(|reply| reply.publish_time).collect();
+        let (mut given, mut other) = (BTreeSet::new(), 0);
+        for scan in &found {
+            let stamp = nanos(scan.times().stamp);
+            let Some((delivered_at, delivered)) = recording.delivered.find(scan) else {
+                other += u64::from(!recording.streamed.contains(&stamp));
+                continue;
+            };
+            given.insert(delivered_at);
+            let has_reply = stamps.contains(&stamp);
+            let text = difference(scan, delivered, has_reply, recording.is_told);
+            wrong.extend(text.map(|text| format!("seed {seed}: {text:.400}")));
+        }
         let alone = scans.iter().filter(|scan| !stamps.contains(&scan.publish_time)).count();
         let least = (replies.len() + alone) as u64;
         let told = found.len() as u64 + left_out;
@@ -619,9 +651,8 @@ fn each_recorded_scan_is_given_back_once() {
         if in_folder != stamps {
             wrong.push(format!("seed {seed}: {} scans in a folder", in_folder.len()));
         }
-        let missing = recording.recorded.iter().filter(|stamp| !is_near(**stamp, &stamps)).count();
-        let other = stamps.iter().filter(|stamp| !is_near(**stamp, &recording.delivered)).count();
-        let doubled = found.len() - stamps.len();
+        let missing = recording.recorded.difference(&given).count() as u64;
+        let doubled = (found.len() - stamps.len()) as u64;
         if missing + other + doubled > 0 {
             wrong
                 .push(format!("seed {seed}: {missing} missing, {other} others, {doubled} doubled"));

@@ -1,26 +1,63 @@
 //! Recordings as services make them: one stream or two, observed and described in any order, with
 //! a consumer that misses scans. Some are split into files, and some of those lose their oldest ones.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
 
-use tokio_scip::{Rate, Sensor};
+use tokio_scip::{Rate, Scan, Sensor};
+use urg_emulator::Model;
 use urg_recording::{Compression, Recorder};
 
 use super::file::{Message, read};
 use crate::common::random::Random;
-use crate::sink::{Sink, sensor, window};
+use crate::sink::{Sink, model, window};
 
 pub(super) struct Own {
     /// Files of the recording, in order.
     pub(super) files: Vec<Vec<u8>>,
     /// Stamps of the described stream's scans that the recorder accepted.
     pub(super) recorded: BTreeSet<u64>,
-    /// Stamps of all scans of that stream.
-    pub(super) delivered: BTreeSet<u64>,
+    /// All scans of that stream.
+    pub(super) delivered: Delivered,
+    /// Stamps of all that the sensor has sent without a poll: also of scans that were not due.
+    pub(super) streamed: BTreeSet<u64>,
+    /// True if the sensor is described or told before its first scan, which tells its model.
+    pub(super) is_told: bool,
     /// Set if the recording has no other stream.
     pub(super) is_alone: bool,
+}
+
+/// Scans of a stream by their stamps, and the stamps by the times of their first rays.
+#[derive(Default)]
+pub(super) struct Delivered {
+    scans: BTreeMap<u64, Scan>,
+    first_rays: BTreeMap<u64, u64>,
+}
+
+impl Delivered {
+    fn insert(&mut self, scan: &Scan) {
+        let stamp = nanos(scan.times().stamp);
+        self.first_rays.insert(nanos(scan.first_ray_stamp()), stamp);
+        self.scans.insert(stamp, scan.clone());
+    }
+
+    /// Returns the stamp of a scan that is read, and the scan as it was delivered. Without a reply it
+    /// has the time of its message's header, which is rounded.
+    pub(super) fn find(&self, scan: &Scan) -> Option<(u64, &Scan)> {
+        let stamp = nanos(scan.times().stamp);
+        let stamp = self.scans.get_key_value(&stamp).map(|(stamp, _)| *stamp).or_else(|| {
+            let first_ray = nanos(scan.first_ray_stamp());
+            let mut near = self.first_rays.range(first_ray - 2_000..first_ray + 2_000);
+            near.next().map(|(_, stamp)| *stamp)
+        })?;
+        Some((stamp, &self.scans[&stamp]))
+    }
+
+    pub(super) fn has(&self, stamp: u64) -> bool {
+        self.scans.contains_key(&stamp)
+    }
 }
 
 pub(super) fn nanos(stamp: SystemTime) -> u64 {
@@ -56,7 +93,17 @@ async fn record(random: &mut Random, seed: u64) -> Own {
     }
     .unwrap();
     fastrand::seed(seed);
-    let sensor = Sensor::builder().depth(1 << 10).connect(sensor()).await.unwrap();
+    let models = [Model::Urg04lx, Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx];
+    let emulator = model(models[seed as usize / compressions.len() % models.len()]);
+    let streamed = Arc::new(Mutex::new(BTreeSet::new()));
+    let seen = Arc::clone(&streamed);
+    let builder = Sensor::builder().depth(1 << 10).intensities(seed.is_multiple_of(2));
+    let builder = builder.on_reply(move |reply| {
+        if reply.bytes.starts_with(b"M") {
+            seen.lock().unwrap().insert(nanos(reply.stamp));
+        }
+    });
+    let sensor = builder.connect(emulator).await.unwrap();
     let (observed, described) = (random.below(4), random.below(3));
     let windows = [window(300, 305, 1), window(310, 313, 1), window(380, 388, 3)];
     if observed == 0 {
@@ -80,7 +127,7 @@ async fn record(random: &mut Random, seed: u64) -> Own {
     if observed == 2 {
         recorder.observe(&sensor);
     }
-    let (mut recorded, mut delivered) = (BTreeSet::new(), BTreeSet::new());
+    let (mut recorded, mut delivered) = (BTreeSet::new(), Delivered::default());
     let (count, misses) = (5 + random.below(25), 1 + random.below(10));
     // Replies are recorded from any scan on.
     let observes_at = random.below(count);
@@ -90,7 +137,8 @@ async fn record(random: &mut Random, seed: u64) -> Own {
             recorder.observe(&sensor);
         }
         let item = scans.next().await.unwrap();
-        delivered.insert(nanos(item.as_ref().unwrap().times().stamp));
+        let scan = item.as_ref().unwrap();
+        delivered.insert(scan);
         let item = match random.once_in(4) {
             // The consumer is a scan behind.
             true => late.replace(item),
@@ -112,7 +160,7 @@ async fn record(random: &mut Random, seed: u64) -> Own {
     recorder.finish().await.unwrap();
     // Scans whose replies were recorded.
     while let Some(item) = futures::FutureExt::now_or_never(scans.next()) {
-        delivered.insert(nanos(item.unwrap().unwrap().times().stamp));
+        delivered.insert(&item.unwrap().unwrap());
     }
     let files = match is_split {
         true => {
@@ -126,11 +174,14 @@ async fn record(random: &mut Random, seed: u64) -> Own {
     if keep_bytes.is_some() {
         // The other scans were in the files that are removed (`keep`).
         let messages = files.iter().flat_map(|file| read(file).unwrap());
-        let scans = messages.filter(Message::is_scan);
+        // A scan of the other stream may have come with the same reply.
+        let is_own = |one: &Message| !one.is_laser_scan() || one.has_points(window.points());
+        let scans = messages.filter(Message::is_scan).filter(is_own);
         let stamps: BTreeSet<_> = scans.map(|message| message.publish_time).collect();
         recorded.retain(|stamp| stamps.contains(stamp));
     }
-    Own { files, recorded, delivered, is_alone }
+    let streamed = streamed.lock().unwrap().clone();
+    Own { files, recorded, delivered, streamed, is_told: described > 0, is_alone }
 }
 
 /// Compressions that this build writes.

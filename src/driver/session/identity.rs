@@ -2,6 +2,8 @@
 //! bit: one flipped bit must neither reject a sensor, nor become the expected number, nor move the
 //! times of a session.
 
+use std::sync::Arc;
+
 use super::super::failure::ExchangeError;
 use super::{Identity, MotorSpeed, Session};
 use crate::Geometry;
@@ -28,7 +30,9 @@ impl Session {
             Some(mut scip2) => Some(scip2.parameters().await?),
             None => None,
         };
-        let geometry = told.as_ref().map_or(Geometry::URG_04LX, Parameters::geometry);
+        let parameters = told.map(Arc::new);
+        let told = parameters.as_ref().map(|reply| &reply.parameters);
+        let geometry = told.map_or(Geometry::URG_04LX, Parameters::geometry);
         let told = told.map(|told| MotorSpeed::RevolutionsPerMinute(told.motor_speed));
         let mut replies = Vec::new();
         loop {
@@ -40,7 +44,7 @@ impl Session {
                 let reply = confirmed.cloned();
                 let is_serial_number_confirmed =
                     reply.as_ref().is_some_and(|reply| !reply.version.serial_number.is_empty());
-                let reply = reply.unwrap_or(latest);
+                let reply = VersionReply { parameters, ..reply.unwrap_or(latest) };
                 return Ok(Identity { reply, is_serial_number_confirmed, motor_speed, geometry });
             }
         }

@@ -187,9 +187,11 @@ impl Session {
         self.scip2.is_some()
     }
 
-    /// Returns true if the line carries the scans of this stream.
+    /// Returns true if the line carries the scans of this stream. A replay is polled: each poll takes
+    /// its next scan, whatever their rates are.
     pub(crate) fn can_stream(&mut self, wish: StreamWish) -> bool {
-        self.scip2().is_some_and(|scip2| scip2.can_stream(wish))
+        self.scip2()
+            .is_some_and(|scip2| !scip2.line.transport.is_replay() && scip2.can_stream(wish))
     }
 
     /// Returns true while the sensor does, or something that it sent is not yet taken.

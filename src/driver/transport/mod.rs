@@ -333,6 +333,11 @@ impl Transport {
         }
     }
 
+    /// Returns true if the port replays a recording.
+    pub(crate) fn is_replay(&mut self) -> bool {
+        self.port.hints().is_some_and(|hints| hints.wall_clock().is_some())
+    }
+
     /// Records that a reply begins now.
     fn begin_reply(&mut self) -> Beginning {
         let at = Instant::now();

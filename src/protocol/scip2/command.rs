@@ -148,6 +148,21 @@ impl Steps {
         }
     }
 
+    /// First step.
+    pub const fn start(&self) -> u16 {
+        self.start
+    }
+
+    /// Last step.
+    pub const fn end(&self) -> u16 {
+        self.end
+    }
+
+    /// Number of neighbouring steps that make a point, 1..=99.
+    pub const fn cluster_count(&self) -> u8 {
+        self.cluster_count
+    }
+
     /// Number of points in a scan: steps over cluster count, rounded up.
     pub const fn points(&self) -> usize {
         ((self.end - self.start) as usize + 1).div_ceil(self.cluster_count as usize)
@@ -169,6 +184,11 @@ impl Stream {
     /// Creates a stream of every scan, until [`Command::LaserOff`].
     pub const fn new(data: Data, steps: Steps) -> Self {
         Self { data, steps, skipped: 0, count: 0, in_microseconds: false }
+    }
+
+    /// Steps to send.
+    pub const fn steps(&self) -> Steps {
+        self.steps
     }
 
     /// Leaves out this number of scans after each one sent.
@@ -322,6 +342,13 @@ impl Request {
         let lines = [Some(2), characters, data].into_iter().flatten();
         let lines = lines.map(|characters| characters + 2 * characters.div_ceil(LINE));
         Some(self.bytes.length + 1 + lines.sum::<usize>() + 1)
+    }
+}
+
+/// Writes the request as it is sent.
+impl fmt::Display for Request {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(std::str::from_utf8(self.bytes()).unwrap_or_default())
     }
 }
 

@@ -85,12 +85,56 @@ impl Parameters {
         matches!(Codes::of(self.model.as_bytes()), Codes::Utm | Codes::Ethernet)
     }
 
+    /// Lines of the reply, each a key and a value.
+    pub fn pairs(&self) -> impl Iterator<Item = (Text, Text)> + '_ {
+        let number = |key: &str, number: u32| (key.into(), number.to_string().into());
+        let own = [
+            ("MODL".into(), self.model.clone()),
+            number("DMIN", *self.distances.start()),
+            number("DMAX", *self.distances.end()),
+            number("ARES", self.steps_per_revolution.into()),
+            number("AMIN", (*self.steps.start()).into()),
+            number("AMAX", (*self.steps.end()).into()),
+            number("AFRT", self.front.into()),
+            number("SCAN", self.motor_speed.into()),
+        ];
+        own.into_iter().chain(self.other.iter().cloned())
+    }
+
+    /// Reads what [`pairs`](Self::pairs) returns, in any order.
+    ///
+    /// # Errors
+    ///
+    /// [`MalformedError`] if a number is missing, or is none that a sensor can have.
+    ///
+    /// ```
+    /// use tokio_scip::protocol::scip2::Parameters;
+    ///
+    /// let text = "MODL:UST-10LX DMIN:20 DMAX:30000 ARES:1440 AMIN:0 AMAX:1080 AFRT:540 SCAN:2400";
+    /// let pairs = text.split(' ').filter_map(|pair| pair.split_once(':'));
+    /// let geometry = Parameters::from_pairs(pairs)?.geometry();
+    /// assert_eq!(geometry.degrees(1080), 135.0);
+    /// # Ok::<(), tokio_scip::protocol::scip2::MalformedError>(())
+    /// ```
+    pub fn from_pairs<'a, T: AsRef<[u8]> + ?Sized + 'a>(
+        pairs: impl IntoIterator<Item = (&'a T, &'a T)>,
+    ) -> Result<Self, MalformedError> {
+        Self::from_results(pairs.into_iter().map(|(key, value)| Ok((key.as_ref(), value.as_ref()))))
+    }
+
     pub(super) fn parse(data: &[u8]) -> Result<Self, MalformedError> {
+        let lines = data.split(|&byte| byte == b'\n').enumerate();
+        Self::from_results(lines.map(|line| pair(line, false)))
+    }
+
+    fn from_results<'a>(
+        pairs: impl Iterator<Item = Result<(&'a [u8], &'a [u8]), MalformedError>>,
+    ) -> Result<Self, MalformedError> {
         let (mut model, mut other) = (Text::default(), Vec::new());
         let mut numbers = [&b""[..]; 7];
         let [d_min, d_max, resolution, first, last, front, speed] = &mut numbers;
-        for line in data.split(|&byte| byte == b'\n').enumerate() {
-            let (key, value) = pair(line, false)?;
+        for pair in pairs {
+            let (key, value) = pair?;
             match key {
                 b"MODL" => model = value.into(),
                 b"DMIN" => *d_min = value,

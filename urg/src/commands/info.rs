@@ -52,8 +52,9 @@ impl Info {
         port.choose_topic(&self.topic)?;
         let (version, geometry, baud_rate, rows) = match port.recorded() {
             Some(recorded) => {
-                let Contents { version, baud_rate, rows, .. } = recorded.contents().await?;
-                (version, None, baud_rate.map(|rate| rate.map(|rate| (rate, None))), rows)
+                let Contents { version, geometry, baud_rate, rows, .. } =
+                    recorded.contents().await?;
+                (version, geometry, baud_rate.map(|rate| rate.map(|rate| (rate, None))), rows)
             }
             None => {
                 let sensor = open(&port, &self.link, Delivery::Newest).await?;
@@ -94,7 +95,7 @@ impl Info {
 /// Baud rate, and why the port ignores it; `None` on USB and Ethernet.
 type Speed = Option<(BaudRate, Option<String>)>;
 
-/// Rows of what is known. A recording has no geometry.
+/// Rows of what is known.
 fn text(
     port: &PortName,
     version: &Version,

@@ -1,16 +1,19 @@
 //! [`seen_through`]: shows a recorded scan in another window.
 
+use tokio_scip::protocol::Protocol;
 use tokio_scip::{Scan, Window};
 
 /// Converts a scan to `window`, as the sensor itself would have sent it. Each cluster has
-/// its smallest value. Steps that were not recorded have error code 19.
+/// its smallest value, in SCIP 2 its smallest distance. Steps that were not recorded have no value. A
+/// window that the sensor does not measure changes nothing.
 pub(crate) fn seen_through(scan: &Scan, window: Window) -> Scan {
-    const NOT_RECORDED: u32 = 19;
-    let recorded = scan.window();
+    let (recorded, geometry) = (scan.window(), scan.geometry());
+    let Ok(window) = window.resolve(geometry) else { return scan.clone() };
     if recorded == window {
         return scan.clone();
     }
-    let mut steps = vec![NOT_RECORDED; Window::FULL.steps()];
+    let last = usize::from(recorded.end().max(window.end()));
+    let mut steps = vec![geometry.unknown_value(); last + 1];
     let first = usize::from(recorded.start());
     let seen = steps.get_mut(first..first + recorded.steps()).unwrap_or_default();
     let clusters = seen.chunks_mut(recorded.cluster_count().into());
@@ -18,7 +21,12 @@ pub(crate) fn seen_through(scan: &Scan, window: Window) -> Scan {
     let first = usize::from(window.start());
     let seen = steps.get(first..first + window.steps()).unwrap_or_default();
     let clusters = seen.chunks(window.cluster_count().into());
-    let values: Vec<u32> = clusters.filter_map(|cluster| cluster.iter().min().copied()).collect();
+    let rank = |value: &u32| {
+        let is_distance = geometry.measurement(*value).distance().is_some();
+        (geometry.protocol() == Protocol::Scip2 && !is_distance, *value)
+    };
+    let values: Vec<u32> =
+        clusters.filter_map(|cluster| cluster.iter().copied().min_by_key(rank)).collect();
     let built = Scan::builder(window, values).like(scan).build();
     // There is one value per point of the window, so building the scan succeeds.
     built.unwrap_or_else(|_| scan.clone())

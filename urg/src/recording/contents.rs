@@ -8,7 +8,7 @@ use std::time::{Duration, SystemTime};
 
 use bytesize::ByteSize;
 use serde_json::{Value, json};
-use tokio_scip::{BaudRate, Rate, Version, Window};
+use tokio_scip::{BaudRate, Geometry, Rate, Version, Window};
 use urg_recording::{ChunkBytes, Compression, LeftOut, RecordedScans, Recording, RecordingError};
 
 use super::clock::Clock;
@@ -30,6 +30,8 @@ const MAX_WINDOWS: usize = 16;
 #[derive(Debug)]
 pub(crate) struct Contents {
     pub(crate) version: Version,
+    /// Geometry of the sensor of the first scan.
+    pub(crate) geometry: Option<Geometry>,
     /// Baud rate of the line, or `None` on USB. `None` also if the recording does not have it.
     pub(crate) baud_rate: Option<Option<BaudRate>>,
     pub(crate) rows: Vec<Row>,
@@ -45,12 +47,13 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
     let mut times = ScanTimes::new(rate);
     let mut windows = Windows::default();
     let (mut stamps, mut log_times) = (Clock::default(), Clock::default());
-    let mut damaged_at = Vec::new();
+    let (mut damaged_at, mut geometry) = (Vec::new(), None);
     // Same scans as in a replay.
     let mut recorded = recording.scans();
     while let Some(scan) = recorded.next() {
         match scan {
             Ok(scan) => {
+                geometry.get_or_insert(*scan.geometry());
                 windows.add(scan.window());
                 stamps.add(scan.times().stamp);
                 log_times.add(recorded.log_time());
@@ -127,7 +130,7 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
         let text = format!("{began}, for {}", clock(seconds));
         rows.insert(0, ("recorded", json!({ "began": began, "seconds": seconds }), text));
     }
-    Ok(Contents { version: recorded.version(), baud_rate, rows, left_out })
+    Ok(Contents { version: recorded.version(), geometry, baud_rate, rows, left_out })
 }
 
 fn left_out_row(counts: &[LeftOut]) -> Row {

@@ -94,6 +94,10 @@ impl Recorded {
         });
         let recording = opened.await.map_err(|error| self.failure(&error))??;
         (self.window, self.rate) = (recording.window(), recording.rate());
+        // The scans of a stream come as the motor turns: polls at the rate that was asked for fall behind.
+        if recording.metadata().contains_key("ARES") {
+            self.rate = Some(Rate::UNLIMITED);
+        }
         if let Some(stdin) = &self.stdin {
             *stdin.lock() = Some(recording);
         }
@@ -129,7 +133,7 @@ impl Recorded {
     }
 
     /// Sets the pace: as fast as possible if you pass a `rate`, else the recorded pace. Returns
-    /// the recorded rate, if the file has one.
+    /// the rate to poll at, if the file has one.
     pub(crate) fn set_pace(&mut self, rate: Option<Rate>) -> Option<Rate> {
         self.pace = rate.map_or(ReplayPace::Recorded, |_| ReplayPace::Max);
         self.rate

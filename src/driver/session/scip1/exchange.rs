@@ -179,6 +179,7 @@ fn judge(
     observers.pass(|| RawReply {
         protocol: Protocol::Scip1,
         command: outcome.as_ref().err().is_none_or(is_echoed).then_some(*command),
+        request: None,
         bytes,
         received_at: times.received,
         stamp: times.stamp,

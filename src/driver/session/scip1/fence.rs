@@ -103,6 +103,7 @@ impl Scip1 {
                 self.line.observers.pass(|| RawReply {
                     protocol: Protocol::Scip1,
                     command: None,
+                    request: None,
                     bytes,
                     received_at: received.times.received,
                     stamp: received.times.stamp,

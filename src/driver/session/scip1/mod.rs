@@ -30,8 +30,8 @@ use super::Acquired;
 use super::errors::on_behalf_of;
 use super::line::Line;
 use crate::codec::MAX_FRAME;
-use crate::protocol::{Command, Protocol, Status, Text, Version};
-use crate::state::VersionReply;
+use crate::protocol::{Command, Status, Text, Version};
+use crate::state::{KnownFrame, VersionReply};
 use crate::{BaudRate, Window};
 
 /// A sensor answers a command with one frame of at most 1,576 bytes.
@@ -109,12 +109,16 @@ impl Scip1 {
     pub(super) async fn version(&mut self) -> Result<VersionReply, ExchangeError> {
         let command = Command::Version;
         let Answer { reply, times } = accepted(&command, self.command_twice(command).await?)?;
-        Ok(VersionReply {
-            protocol: Protocol::Scip1,
-            version: Version::from_reply(&reply),
-            frame: reply.version_frame().into(),
+        let frame = KnownFrame {
+            request: None,
+            bytes: reply.version_frame().into(),
             received_at: times.received,
             stamp: times.stamp,
+        };
+        Ok(VersionReply {
+            version: Version::from_reply(&reply),
+            frame: frame.into(),
+            parameters: None,
         })
     }
 

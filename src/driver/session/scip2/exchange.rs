@@ -11,7 +11,7 @@ use super::{LIMITS, Scip2};
 use crate::codec::FoundFrame;
 use crate::protocol::scip2::{Command, Content, Reply, ReplyError, Request, Status};
 use crate::protocol::{Protocol, Text};
-use crate::state::Shared;
+use crate::state::{KnownFrame, Shared};
 use crate::{ErrorKind, RawReply};
 
 /// Length of the longest replies without scans: `VV`, `PP` and `II`.
@@ -20,11 +20,24 @@ const TEXT_LEN: usize = 512;
 /// Reply to a request.
 #[derive(Debug)]
 pub(super) struct Answer {
+    pub(super) request: Request,
     pub(super) status: Status,
     pub(super) content: Content,
-    /// Bytes of the reply, if it is one to `VV`.
+    /// Bytes of the reply, if it is one to `VV` or `PP`.
     pub(super) frame: Vec<u8>,
     pub(super) times: ReplyTimes,
+}
+
+impl Answer {
+    /// The reply as received, if it is one to `VV` or `PP`.
+    pub(super) fn known_frame(&self) -> KnownFrame {
+        KnownFrame {
+            request: Some(self.request),
+            bytes: self.frame.as_slice().into(),
+            received_at: self.times.received,
+            stamp: self.times.stamp,
+        }
+    }
 }
 
 impl Scip2<'_> {
@@ -35,11 +48,21 @@ impl Scip2<'_> {
         command: Command,
         latency: Duration,
     ) -> Result<Answer, ExchangeError> {
+        self.exchange_as(command, latency, false).await
+    }
+
+    /// As [`exchange`](Self::exchange). Observers do not take the reply to a probe for a scan.
+    pub(super) async fn exchange_as(
+        &mut self,
+        command: Command,
+        latency: Duration,
+        is_probe: bool,
+    ) -> Result<Answer, ExchangeError> {
         if self.state.is_streaming() && command != Command::LaserOff {
             self.end_stream().await?;
         }
         let request = Request::new(command, self.state.labels.next_label());
-        self.ask(&request, latency).await
+        self.ask_as(&request, latency, is_probe).await
     }
 
     /// Sends `request` and returns its reply. A damaged reply fails: waiting for a better one would
@@ -48,6 +71,15 @@ impl Scip2<'_> {
         &mut self,
         request: &Request,
         latency: Duration,
+    ) -> Result<Answer, ExchangeError> {
+        self.ask_as(request, latency, false).await
+    }
+
+    async fn ask_as(
+        &mut self,
+        request: &Request,
+        latency: Duration,
+        is_probe: bool,
     ) -> Result<Answer, ExchangeError> {
         let within = self.time_limit(request, latency);
         let expected = Expected { reply: None, limits: &LIMITS };
@@ -68,11 +100,14 @@ impl Scip2<'_> {
             let mut outcome = Err(None);
             let mut is_streamed = false;
             if let FoundFrame::Reply(bytes) = received.frame() {
-                self.line.observers.pass(|| raw_reply(bytes, &times));
-                if let Some(frame) = find_own(request, bytes) {
+                let own = find_own(request, bytes);
+                let answered = own.filter(|_| !is_probe).map(|_| *request);
+                self.line.observers.pass(|| raw_reply(bytes, answered, &times));
+                if let Some(frame) = own {
                     let parsed = Reply::parse(request, frame).map_err(Some);
-                    let is_version = *request.command() == Command::Version;
-                    let kept = if is_version { frame.to_vec() } else { Vec::new() };
+                    let is_identity =
+                        matches!(request.command(), Command::Version | Command::Parameters);
+                    let kept = if is_identity { frame.to_vec() } else { Vec::new() };
                     outcome = parsed.map(|reply| (reply, kept, frame.len()));
                 } else {
                     is_streamed = self.state.take_streamed(bytes, &times, &self.line.shared);
@@ -94,7 +129,7 @@ impl Scip2<'_> {
                     } else {
                         self.line.shared.counters.stats().refused += 1;
                     }
-                    return Ok(Answer { status, content, frame, times });
+                    return Ok(Answer { request: *request, status, content, frame, times });
                 }
                 Err(Some(error)) => {
                     return Err(record_malformed(&self.line.shared, request, error, wire_len));
@@ -145,9 +180,13 @@ pub(super) fn record_malformed(
     ExchangeError::Command(error)
 }
 
-pub(super) fn raw_reply<'a>(bytes: &'a [u8], times: &ReplyTimes) -> RawReply<'a> {
+pub(super) fn raw_reply<'a>(
+    bytes: &'a [u8],
+    request: Option<Request>,
+    times: &ReplyTimes,
+) -> RawReply<'a> {
     let ReplyTimes { received: received_at, stamp, .. } = *times;
-    RawReply { protocol: Protocol::Scip2, command: None, bytes, received_at, stamp }
+    RawReply { protocol: Protocol::Scip2, command: None, request, bytes, received_at, stamp }
 }
 
 /// Finds the reply to `request` in a frame. A reply that was cut short has no terminator, so the next

@@ -23,12 +23,10 @@ use super::errors::{malformed, no_reply, not_confirmed, on_behalf_of};
 use super::line::Line;
 use super::{Acquired, Told};
 use crate::codec::FoundFrame;
-use crate::protocol::scip2::{
-    Command, Content, Data, Labels, Parameters, Request, Scan, Stamp, Status, Steps,
-};
+use crate::protocol::scip2::{Command, Content, Data, Labels, Request, Scan, Stamp, Status, Steps};
 use crate::protocol::{MalformedError, Protocol, Text};
 use crate::scan::Values;
-use crate::state::VersionReply;
+use crate::state::{ParametersReply, VersionReply};
 use crate::{BaudRate, Error, ErrorKind, Geometry, Window};
 
 /// Longest reply: `ME` of 1,081 steps has 6,717 bytes. Another program may have left a stream of
@@ -183,30 +181,27 @@ impl Scip2<'_> {
     /// Reads the version once.
     pub(super) async fn version(&mut self) -> Result<VersionReply, ExchangeError> {
         let answer = self.ask_twice(Command::Version).await?;
-        let Answer { content: Content::Version(version), frame, times, .. } = answer else {
-            return Err(self.no_data(Command::Version));
-        };
-        Ok(VersionReply {
-            protocol: Protocol::Scip2,
-            version,
-            frame: frame.into(),
-            received_at: times.received,
-            stamp: times.stamp,
-        })
+        let frame = answer.known_frame().into();
+        match answer.content {
+            Content::Version(version) => Ok(VersionReply { version, frame, parameters: None }),
+            _ => Err(self.no_data(Command::Version)),
+        }
     }
 
     /// Reads what the sensor measures.
-    pub(super) async fn parameters(&mut self) -> Result<Parameters, ExchangeError> {
-        let Content::Parameters(told) = self.ask_twice(Command::Parameters).await?.content else {
+    pub(super) async fn parameters(&mut self) -> Result<ParametersReply, ExchangeError> {
+        let answer = self.ask_twice(Command::Parameters).await?;
+        let frame = answer.known_frame();
+        let Content::Parameters(parameters) = answer.content else {
             return Err(self.no_data(Command::Parameters));
         };
-        let first = *told.steps.start();
+        let first = *parameters.steps.start();
         self.state.one_step = Steps::new(first..=first).ok();
-        self.state.geometry = told.geometry();
+        self.state.geometry = parameters.geometry();
         self.state.clock = SensorClock::new(self.state.geometry.revolution());
-        let has_intensities = self.state.wants_intensities && told.has_intensities();
+        let has_intensities = self.state.wants_intensities && parameters.has_intensities();
         self.state.data = if has_intensities { Data::Intensities } else { Data::Distances };
-        Ok(told)
+        Ok(ParametersReply { parameters, frame })
     }
 
     /// Asks for one step until there is an answer, and returns its status: a refusal while the sensor
@@ -228,7 +223,7 @@ impl Scip2<'_> {
 
     /// Asks for one step. Any status is an answer.
     pub(super) async fn probe_once(&mut self, latency: Duration) -> Result<Status, ExchangeError> {
-        self.exchange(self.one_step(), latency).await.map(|answer| answer.status)
+        self.exchange_as(self.one_step(), latency, true).await.map(|answer| answer.status)
     }
 
     fn one_step(&self) -> Command {

@@ -156,7 +156,8 @@ impl Scip2<'_> {
             let (times, wire_len) = (received.times, received.wire_len());
             let mut is_own = false;
             if let FoundFrame::Reply(bytes) = received.frame() {
-                self.line.observers.pass(|| raw_reply(bytes, &times));
+                let own = find_own(&request, bytes).map(|_| request);
+                self.line.observers.pass(|| raw_reply(bytes, own, &times));
                 is_own = self.state.take_streamed(bytes, &times, &self.line.shared);
             }
             drop(received);

@@ -1,0 +1,317 @@
+//! [`RecordedReply`]: a reply of the sensor, and what it says.
+
+use std::ops::Range;
+use std::time::SystemTime;
+
+use super::stream::Model;
+use tokio_scip::protocol::scip2::{self, Content, Label, Parameters, Request, Stamp, Steps};
+use tokio_scip::protocol::{Command, Reply};
+use tokio_scip::{BaudRate, Geometry, Window};
+
+/// Reply of the sensor, byte by byte.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct RecordedReply {
+    /// Command of SCIP 1.1 that it answers, even if the reply is malformed. `None` for the reply to a
+    /// fence and for an unsolicited one.
+    pub command: Option<Command>,
+    /// Request of SCIP 2 that it answers, even if the reply is malformed. `None` for an unsolicited
+    /// reply.
+    pub request: Option<Request>,
+    /// Bytes of the reply, including the two LFs at its end.
+    pub bytes: Vec<u8>,
+    /// Wall clock when the first byte arrived.
+    pub stamp: SystemTime,
+}
+
+/// What a reply is about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum ReplyKind {
+    /// `V` or `VV`.
+    Version,
+    /// `PP`.
+    Parameters,
+    /// `G`, `GD` or `GE`, or a scan of a stream.
+    Poll,
+    Other,
+}
+
+/// Values of a scan.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(super) struct Values {
+    pub(super) distances: Vec<u32>,
+    /// One for each distance, or none.
+    pub(super) intensities: Vec<u32>,
+    /// Time of the sensor's clock, in SCIP 2.
+    pub(super) clock: Option<Stamp>,
+}
+
+impl Values {
+    /// Groups neighbours into clusters, as a sensor of SCIP 2 does: each has its least distance, or its
+    /// least value if it has none.
+    pub(super) fn cluster(&mut self, cluster_count: u8, geometry: &Geometry) {
+        let rank = |value: u32| (geometry.measurement(value).distance().is_none(), value);
+        let count = usize::from(cluster_count.max(1));
+        let mut places: Vec<usize> = (0..self.distances.len()).collect();
+        places.sort_by_key(|place| (place / count, self.distances.get(*place).copied().map(rank)));
+        for values in [&mut self.distances, &mut self.intensities] {
+            let nearest = places.iter().step_by(count);
+            *values = nearest.filter_map(|place| values.get(*place).copied()).collect();
+        }
+    }
+}
+
+impl RecordedReply {
+    /// Creates the reply to a request, as it is written on the wire.
+    pub(super) fn new(request: &str, bytes: &[u8], stamp: SystemTime) -> Self {
+        let (command, request) = (parse_command(request), parse_request(request));
+        Self { command, request, bytes: bytes.to_vec(), stamp }
+    }
+
+    pub(super) fn kind(&self) -> ReplyKind {
+        // After power-up in SCIP 2 the laser is off. The driver switches it on, and asks again.
+        if self.request.is_some() && self.after_echo() == Some(b"\n10Q\n\n") {
+            return ReplyKind::Other;
+        }
+        if self.is_streamed() && self.after_echo() == Some(b"\n00P\n\n") {
+            return ReplyKind::Other;
+        }
+        match (self.command, self.request.as_ref().map(Request::command)) {
+            (Some(Command::Version), _) | (_, Some(scip2::Command::Version)) => ReplyKind::Version,
+            (_, Some(scip2::Command::Parameters)) => ReplyKind::Parameters,
+            (Some(Command::Distances(_)), _) => ReplyKind::Poll,
+            _ if self.steps().is_some() => ReplyKind::Poll,
+            _ => ReplyKind::Other,
+        }
+    }
+
+    /// Kind of a successful reply that identifies the sensor.
+    pub(super) fn identity(&self) -> Option<ReplyKind> {
+        match self.kind() {
+            kind @ ReplyKind::Version => self.version_lines().map(|_| kind),
+            kind @ ReplyKind::Parameters => self.parameters().map(|_| kind),
+            _ => None,
+        }
+    }
+
+    /// Window that a poll asked for, if `model` is known and has it.
+    pub(super) fn window(&self, model: Option<&Model>) -> Option<Window> {
+        if self.kind() != ReplyKind::Poll {
+            return None;
+        }
+        if let Some(Command::Distances(window)) = self.command {
+            return Some(window);
+        }
+        let steps = self.steps()?;
+        model?.window(steps.start(), steps.end(), steps.cluster_count())
+    }
+
+    /// Returns true for a reply that the sensor sent as a part of a stream.
+    pub(super) fn is_streamed(&self) -> bool {
+        let command = self.request.as_ref().map(Request::command);
+        matches!(command, Some(scip2::Command::Stream(_)))
+    }
+
+    /// Steps of a request for scans in SCIP 2.
+    fn steps(&self) -> Option<Steps> {
+        match self.request.as_ref()?.command() {
+            scip2::Command::Latest { steps, .. } => Some(*steps),
+            scip2::Command::Stream(stream) => Some(stream.steps()),
+            _ => None,
+        }
+    }
+
+    /// Lines of a successful reply to `V` or `VV`, without sums.
+    pub(super) fn version_lines(&self) -> Option<Vec<Vec<u8>>> {
+        match (self.scip1(), self.scip2()) {
+            (Some(_), _) | (_, Some(Content::Version(_))) => {}
+            _ => return None,
+        }
+        let lines = self.frame()?.split(|&byte| byte == b'\n').skip(2);
+        let lines = lines.map(|line| match line {
+            [line @ .., b';', _] if self.request.is_some() => line,
+            line => line,
+        });
+        Some(lines.filter(|line| !line.is_empty()).map(<[u8]>::to_vec).collect())
+    }
+
+    /// What a successful reply to `PP` says.
+    pub(super) fn parameters(&self) -> Option<Parameters> {
+        match self.scip2()? {
+            Content::Parameters(parameters) => Some(parameters),
+            _ => None,
+        }
+    }
+
+    /// Values of a successful reply to a poll.
+    pub(super) fn values(&self) -> Option<Values> {
+        if let Some(Command::Distances(_)) = self.command {
+            let distances = self.scip1()?.values().iter().map(|value| u32::from(*value)).collect();
+            return Some(Values { distances, ..Values::default() });
+        }
+        match self.scip2()? {
+            Content::Scan(scan) => Some(Values {
+                distances: scan.distances().to_vec(),
+                intensities: scan.intensities().to_vec(),
+                clock: Some(scan.stamp()),
+            }),
+            _ => None,
+        }
+    }
+
+    /// The same reply to another request, as it is written on the wire: with its echo, and in SCIP 2 with
+    /// the status that a scan has there.
+    pub(super) fn to(&self, asked: &[u8]) -> Option<Self> {
+        let rest = self.after_echo()?;
+        let request = std::str::from_utf8(asked).unwrap_or_default();
+        let status: &[u8] = if request.starts_with('M') { b"\n99b" } else { b"\n00P" };
+        let bytes = match self.request {
+            Some(_) if self.values().is_some() => [asked, status, rest.get(4..)?].concat(),
+            _ => [asked, rest].concat(),
+        };
+        Some(Self::new(request, &bytes, self.stamp))
+    }
+
+    /// Bytes after the echo of the request, and after what an earlier reply has left.
+    pub(super) fn after_echo(&self) -> Option<&[u8]> {
+        match (&self.command, &self.request) {
+            (Some(command), _) => self.bytes.strip_prefix(&*command.bytes()),
+            (_, Some(request)) => {
+                let echo = request.bytes();
+                let at = match self.bytes.starts_with(echo) {
+                    true => 0,
+                    false => self.bytes.windows(echo.len()).rposition(|part| part == echo)?,
+                };
+                self.bytes.get(at + echo.len()..)
+            }
+            _ => None,
+        }
+    }
+
+    /// Reply without its terminator.
+    fn frame(&self) -> Option<&[u8]> {
+        let echo = self.request.map_or(0, |request| request.bytes().len());
+        let skipped = match self.request {
+            Some(_) => self.bytes.len().checked_sub(self.after_echo()?.len() + echo)?,
+            None => 0,
+        };
+        self.bytes.get(skipped..)?.strip_suffix(b"\n\n")
+    }
+
+    /// Parses a successful reply of SCIP 1.1.
+    fn scip1(&self) -> Option<Reply> {
+        let reply = Reply::parse(self.command.as_ref()?, self.frame()?).ok()?;
+        reply.status().is_ok().then_some(reply)
+    }
+
+    /// Parses a reply of SCIP 2. Only a successful one has content.
+    fn scip2(&self) -> Option<Content> {
+        Some(scip2::Reply::parse(self.request.as_ref()?, self.frame()?).ok()?.content)
+    }
+}
+
+/// Returns the command of a request that asks which sensor it is: `V`, and in SCIP 2 `PP` and `VV`.
+pub(super) fn identity_command(request: &str) -> Option<&'static str> {
+    let command = request.split(';').next()?;
+    ["V", "PP", "VV"].into_iter().find(|known| *known == command)
+}
+
+/// Parses a command of SCIP 1.1.
+pub(super) fn parse_command(text: &str) -> Option<Command> {
+    if let Some(digits) = digits(text, "G", 8) {
+        let number = |range: Range<usize>| digits.get(range)?.parse::<u16>().ok();
+        let window = Window::new(number(0..3)?..=number(3..6)?).ok()?;
+        let cluster = number(6..8)?.try_into().ok()?;
+        let command = window.with_cluster_count(cluster).ok().map(Command::Distances);
+        // A window may have more steps than a `G` can name.
+        return command.filter(|command| command.to_string() == text);
+    }
+    let fixed = [Command::Version, Command::LaserOn, Command::LaserOff];
+    let speeds = BaudRate::ALL.into_iter().map(Command::BaudRate);
+    fixed.into_iter().chain(speeds).find(|command| command.to_string() == text)
+}
+
+/// Parses a request of SCIP 2, of those that a driver sends.
+fn parse_request(text: &str) -> Option<Request> {
+    use scip2::Command as C;
+    let (text, label) = match text.split_once(';') {
+        Some((text, label)) => (text, Some(Label::new(label).ok()?)),
+        None => (text, None),
+    };
+    for data in [scip2::Data::Distances, scip2::Data::Intensities] {
+        let letters = if data == scip2::Data::Distances { "GD" } else { "GE" };
+        if let Some(digits) = digits(text, letters, 10) {
+            let number = |range: Range<usize>| digits.get(range)?.parse::<u16>().ok();
+            let steps = Steps::new(number(0..4)?..=number(4..8)?).ok()?;
+            let steps = steps.with_cluster_count(number(8..10)?.try_into().ok()?).ok()?;
+            return Some(Request::new(C::Latest { data, steps }, label));
+        }
+        let letters = if data == scip2::Data::Distances { "MD" } else { "ME" };
+        if let Some(digits) = digits(text, letters, 13) {
+            let number = |range: Range<usize>| digits.get(range)?.parse::<u16>().ok();
+            let steps = Steps::new(number(0..4)?..=number(4..8)?).ok()?;
+            let steps = steps.with_cluster_count(number(8..10)?.try_into().ok()?).ok()?;
+            let stream = scip2::Stream::new(data, steps).skipping(number(10..11)?.try_into().ok()?);
+            return Some(Request::new(C::Stream(stream.ok()?), label))
+                .filter(|_| digits.ends_with("00"));
+        }
+    }
+    let fixed = [C::Version, C::Parameters, C::State, C::StateCode, C::LaserOn, C::LaserOff];
+    let speeds = BaudRate::ALL.into_iter().map(C::BaudRate);
+    let command = fixed.into_iter().chain(speeds).find(|command| command.to_string() == text)?;
+    Some(Request::new(command, label))
+}
+
+/// Returns the digits of a command of these letters and this number of digits.
+fn digits<'a>(text: &'a str, letters: &str, count: usize) -> Option<&'a str> {
+    let digits = text.strip_prefix(letters)?;
+    (digits.len() == count && digits.bytes().all(|byte| byte.is_ascii_digit())).then_some(digits)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tokio_scip::protocol::scip2::Data;
+
+    #[test]
+    fn every_command_parses_back_from_its_text() {
+        let window = Window::new(3..=768).and_then(|window| window.with_cluster_count(99)).unwrap();
+        let commands = [Command::Version, Command::LaserOn, Command::LaserOff]
+            .into_iter()
+            .chain(BaudRate::ALL.into_iter().map(Command::BaudRate))
+            .chain([Command::Distances(window), Command::Distances(Window::FULL)]);
+        for command in commands {
+            let text = command.to_string();
+            assert_eq!((parse_command(&text), parse_request(&text)), (Some(command), None));
+        }
+        let steps = Steps::new(3..=1080).and_then(|steps| steps.with_cluster_count(99)).unwrap();
+        let polls =
+            [Data::Distances, Data::Intensities].map(|data| scip2::Command::Latest { data, steps });
+        let fixed = [scip2::Command::Version, scip2::Command::Parameters];
+        for command in polls.into_iter().chain(fixed) {
+            for label in [None, Label::new("00005xjj").ok()] {
+                let request = Request::new(command, label);
+                let text = std::str::from_utf8(request.bytes()).unwrap();
+                assert_eq!((parse_command(text), parse_request(text)), (None, Some(request)));
+            }
+        }
+        for text in [
+            "",
+            "G",
+            "G00076800",
+            "G00076901",
+            "G76800001",
+            "G+0076801",
+            "Gx0076801",
+            "G\u{e9}\u{e9}\u{e9}\u{e9}",
+            "X",
+            "GD",
+            "GD0000108000",
+            "GD108000001",
+            "GD0000108001;\u{e9}",
+            "VV;",
+        ] {
+            assert_eq!((parse_command(text), parse_request(text)), (None, None), "{text}");
+        }
+    }
+}

@@ -1,0 +1,187 @@
+//! Recordings of each model: every scan that is read, replayed, cut or repaired is the one that the
+//! driver delivered, with the geometry of its sensor.
+
+use std::io::Cursor;
+use std::time::Duration;
+
+use tokio_scip::{Rate, Scan, Sensor, Window};
+use urg_emulator::Model;
+use urg_recording::{LeftOutReason, Recorder, Recording, cut, repair};
+
+use crate::sink::{Sink, model as sensor_model, next, replayed, window as window_of};
+
+const MODELS: [Model; 4] = [Model::Urg04lx, Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx];
+
+/// What a recording has: with replies, with metadata, or with messages alone.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Has {
+    replies: bool,
+    metadata: bool,
+}
+
+/// At the sensor's own rate, the scans have intensities if it measures them.
+async fn recorded(
+    model: Model,
+    has: Has,
+    (window, rate): (Window, Rate),
+    count: usize,
+) -> (Vec<u8>, Vec<Scan>) {
+    let sink = Sink::new();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let builder = Sensor::builder().depth(1 << 10).intensities(rate == Rate::UNLIMITED);
+    let sensor = builder.connect(sensor_model(model)).await.unwrap();
+    if has.replies {
+        recorder.observe(&sensor);
+    }
+    let mut scans = sensor.scans(window, rate).await.unwrap();
+    if has.metadata {
+        recorder.describe(&sensor, &scans).await.unwrap();
+    }
+    let delivered = next(&mut recorder, &mut scans, count).await;
+    recorder.finish().await.unwrap();
+    (sink.bytes(), delivered)
+}
+
+fn open(file: &[u8]) -> Recording {
+    Recording::read(Cursor::new(file.to_vec())).unwrap()
+}
+
+fn read(file: &[u8]) -> Vec<Scan> {
+    open(file).scans().map(Result::unwrap).collect()
+}
+
+fn bits(scan: &Scan) -> Vec<u32> {
+    scan.ranges().map(f32::to_bits).collect()
+}
+
+#[tokio::test(start_paused = true)]
+async fn scans_of_each_model_are_read_and_replayed() {
+    let degrees = Window::degrees(-20.0..=30.0).unwrap().with_cluster_count(3).unwrap();
+    for model in MODELS {
+        for (replies, metadata) in [(true, true), (true, false), (false, true), (false, false)] {
+            for (window, rate) in [
+                (Window::DETECTION, Rate::hz(10.0)),
+                (Window::DETECTION, Rate::UNLIMITED),
+                (degrees, Rate::UNLIMITED),
+                // By polls, if forty scans come in a second.
+                (degrees, Rate::hz(2.0)),
+            ] {
+                let has = Has { replies, metadata };
+                let case = format!("{model:?}, {has:?}, {window}, {rate}");
+                let (file, delivered) = recorded(model, has, (window, rate), 8).await;
+                let recording = open(&file);
+                // Its steps, whatever is known of the sensor.
+                let steps = delivered[0].window();
+                let steps = window_of(steps.start(), steps.end(), steps.cluster_count());
+                assert_eq!(recording.window(), metadata.then(|| delivered[0].window()), "{case}");
+                let mut whole = Vec::new();
+                assert_eq!(
+                    repair(Cursor::new(file.clone()), &mut whole).unwrap().scans,
+                    8,
+                    "{case}"
+                );
+                let mut part = Vec::new();
+                let since = |n: usize| delivered[n].received_at() - delivered[0].received_at();
+                let range = (since(1) + since(2)) / 2..(since(4) + since(5)) / 2;
+                let copied = cut([Cursor::new(file.clone())], range, None, &mut part).unwrap();
+                assert_eq!(copied.scans, 3, "{case}");
+                for (place, (found, delivered)) in [
+                    (read(&file), &delivered[..]),
+                    (read(&whole), &delivered[..]),
+                    (read(&part), &delivered[2..5]),
+                    (replayed(open(&file), steps).await, &delivered[..]),
+                    (replayed(open(&part), steps).await, &delivered[2..5]),
+                ]
+                .into_iter()
+                .enumerate()
+                {
+                    let case = format!("{case}, {place}");
+                    assert_eq!(found.len(), delivered.len(), "{case}");
+                    for (found, delivered) in found.iter().zip(delivered) {
+                        let points = |window: Window| (window.start(), window.points());
+                        assert_eq!(points(found.window()), points(delivered.window()), "{case}");
+                        assert_eq!(found.angle_min(), delivered.angle_min(), "{case}");
+                        assert_eq!(bits(found), bits(delivered), "{case}");
+                        let own = |scan: &Scan| scan.intensities().map(<[u32]>::to_vec);
+                        // A replay asks for them.
+                        let is_own = place < 3 || own(delivered).is_some();
+                        assert!(!is_own || own(found) == own(delivered), "{case}");
+                        if replies {
+                            assert_eq!(found.is_repeat(), delivered.is_repeat(), "{case}");
+                            let values = |scan: &Scan| -> Vec<u32> { scan.raw_values().collect() };
+                            assert_eq!(values(found), values(delivered), "{case}");
+                        }
+                        if replies || metadata {
+                            assert_eq!(found.geometry(), delivered.geometry(), "{case}");
+                            let error = found.scan_time().abs_diff(delivered.scan_time());
+                            assert!(error < Duration::from_nanos(10), "{case}: {error:?}");
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The driver asks for one step to see whether the sensor measures.
+#[tokio::test(start_paused = true)]
+async fn a_probe_is_no_scan() {
+    let sink = Sink::new();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let emulator = sensor_model(Model::Ust10lx);
+    let builder = Sensor::builder().on_reply(recorder.observer());
+    let sensor = builder.connect(emulator).await.unwrap();
+    sensor.laser_on().await.unwrap();
+    let mut scans = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+    let delivered = next(&mut recorder, &mut scans, 5).await;
+    recorder.finish().await.unwrap();
+    let read = read(&sink.bytes());
+    assert_eq!(read.len(), 5);
+    assert!(read[0].raw_values().eq(delivered[0].raw_values()));
+}
+
+/// Another window than the recorded one shows what it has, also of a sensor with 18 bits.
+#[tokio::test(start_paused = true)]
+async fn another_window_of_a_sensor_in_scip_2_is_replayed() {
+    let has = Has { replies: true, metadata: true };
+    let (file, delivered) =
+        recorded(Model::Utm30lx, has, (Window::DETECTION, Rate::hz(10.0)), 5).await;
+    let window = Window::new(1000..=1080).unwrap();
+    let replayed = replayed(open(&file), window).await;
+    assert_eq!(replayed.len(), 5);
+    for (replayed, delivered) in replayed.iter().zip(&delivered) {
+        assert!(replayed.raw_values().eq(delivered.raw_values().skip(1000)));
+    }
+}
+
+/// Each scan that is read has the geometry of its own sensor. A replay is of one sensor.
+#[tokio::test(start_paused = true)]
+async fn a_urg_and_a_ust_lie_in_one_file() {
+    let has = Has { replies: true, metadata: true };
+    let (urg, of_urg) =
+        recorded(Model::Urg04lx, has, (Window::DETECTION, Rate::hz(10.0)), 20).await;
+    let (ust, of_ust) =
+        recorded(Model::Ust10lx, has, (Window::DETECTION, Rate::hz(10.0)), 20).await;
+    let mut joined = Vec::new();
+    let inputs = [urg, ust].map(Cursor::new);
+    let copied = cut(inputs, .., None, &mut joined).unwrap();
+    let found = read(&joined);
+    assert_eq!(copied.scans, found.len() as u64);
+    let (mut steps, stamp) = (Vec::new(), |scan: &Scan| scan.times().stamp);
+    for scan in &found {
+        let mut delivered = of_urg.iter().chain(&of_ust);
+        let delivered = delivered.find(|other| stamp(other) == stamp(scan)).unwrap();
+        assert_eq!(scan.geometry(), delivered.geometry());
+        assert!(scan.raw_values().eq(delivered.raw_values()));
+        steps.push(scan.geometry().steps_per_revolution());
+    }
+    steps.sort_unstable();
+    steps.dedup();
+    assert_eq!(steps, [1024, 1440]);
+    let recording = open(&joined);
+    let left_out = recording.left_out();
+    let replayed = replayed(recording, Window::DETECTION).await;
+    assert!(!replayed.is_empty() && replayed.len() < found.len());
+    let is_other = |reason| reason == LeftOutReason::OtherLaser;
+    assert!(left_out.counts().iter().any(|count| is_other(count.reason)));
+}
