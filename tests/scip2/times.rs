@@ -60,3 +60,19 @@ async fn stamps_rest_on_the_sensors_clock() {
         }
     }
 }
+
+#[tokio::test(start_paused = true)]
+async fn a_scan_after_a_cut_one_has_its_own_time() {
+    let emulator = numbered(Model::Utm30lx).build();
+    let sensor = builder().depth(64).connect(emulator.clone()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+    next(&mut stream).await;
+    // Without its end it runs into the next scan.
+    emulator.set_faults(Faults::none().at(1, Fault::Cut(10)));
+    for _ in 0..5 {
+        let scan = next(&mut stream).await;
+        let late = lateness(&emulator, &scan);
+        // A scan takes 10 ms on USB.
+        assert!((0.0..10.5).contains(&late), "{late} ms");
+    }
+}

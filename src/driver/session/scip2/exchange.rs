@@ -12,7 +12,7 @@ use crate::codec::FoundFrame;
 use crate::protocol::scip2::{Command, Content, Reply, ReplyError, Request, Status};
 use crate::protocol::{Protocol, Text};
 use crate::state::{KnownFrame, Shared};
-use crate::{ErrorKind, RawReply};
+use crate::{BaudRate, ErrorKind, RawReply};
 
 /// Length of the longest replies without scans: `VV`, `PP` and `II`.
 const TEXT_LEN: usize = 512;
@@ -82,6 +82,7 @@ impl Scip2<'_> {
         is_probe: bool,
     ) -> Result<Answer, ExchangeError> {
         let within = self.time_limit(request, latency);
+        let baud_rate = self.line.believed_baud_rate();
         let expected = Expected { reply: None, limits: &LIMITS };
         self.line.is_settled = false;
         if !self.state.is_streaming() {
@@ -96,21 +97,22 @@ impl Scip2<'_> {
                     return Err(record_silence(&self.line.shared, request, failure));
                 }
             };
-            let (times, wire_len) = (received.times, received.wire_len());
+            let (mut times, wire_len) = (received.times, received.wire_len());
             let mut outcome = Err(None);
             let mut is_streamed = false;
             if let FoundFrame::Reply(bytes) = received.frame() {
-                let own = find_own(request, bytes);
+                let own = find_own(request, bytes, &times, baud_rate);
                 let answered = own.filter(|_| !is_probe).map(|_| *request);
                 self.line.observers.pass(|| raw_reply(bytes, answered, &times));
-                if let Some(frame) = own {
+                if let Some((frame, own)) = own {
+                    times = own;
                     let parsed = Reply::parse(request, frame).map_err(Some);
                     let is_identity =
                         matches!(request.command(), Command::Version | Command::Parameters);
                     let kept = if is_identity { frame.to_vec() } else { Vec::new() };
                     outcome = parsed.map(|reply| (reply, kept, frame.len()));
                 } else {
-                    is_streamed = self.state.take_streamed(bytes, &times, &self.line.shared);
+                    is_streamed = self.state.take_streamed(bytes, &times, baud_rate, &self.line.shared);
                 }
             }
             drop(received);
@@ -123,7 +125,7 @@ impl Scip2<'_> {
                     }
                     if status.is_ok_for(request.command()) {
                         let bytes = request.bytes().len() + 1 + length + 2;
-                        if let Some(baud_rate) = self.line.believed_baud_rate() {
+                        if let Some(baud_rate) = baud_rate {
                             self.line.check_speed(baud_rate.wire_time(bytes), &times);
                         }
                     } else {
@@ -189,15 +191,25 @@ pub(super) fn raw_reply<'a>(
     RawReply { protocol: Protocol::Scip2, command: None, request, bytes, received_at, stamp }
 }
 
-/// Finds the reply to `request` in a frame. A reply that was cut short has no terminator, so the next
-/// one follows it in the same frame.
-pub(super) fn find_own<'a>(request: &Request, frame: &'a [u8]) -> Option<&'a [u8]> {
+/// Finds the reply to `request` in a frame, and its times. A reply that was cut short has no
+/// terminator, so the next one follows it in the same frame. It began no later than its bytes need on
+/// the line.
+pub(super) fn find_own<'a>(
+    request: &Request,
+    frame: &'a [u8],
+    times: &ReplyTimes,
+    baud_rate: Option<BaudRate>,
+) -> Option<(&'a [u8], ReplyTimes)> {
     let echo = request.bytes();
     if frame.starts_with(echo) {
-        return Some(frame);
+        return Some((frame, *times));
     }
     let at = frame.windows(echo.len()).rposition(|part| part == echo)?;
-    frame.get(at..)
+    let own = frame.get(at..)?;
+    let wire_time = baud_rate.map_or(Duration::ZERO, |baud_rate| baud_rate.wire_time(own.len()));
+    let later = times.received.duration_since(times.began).saturating_sub(wire_time);
+    let (began, stamp) = (times.began + later, times.stamp + later);
+    Some((own, ReplyTimes { began, stamp, ..*times }))
 }
 
 /// Returns the answer, or the error of `command` if the sensor refused it.

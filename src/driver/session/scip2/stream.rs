@@ -20,7 +20,7 @@ use crate::protocol::scip2::{
     Command, Content, Reply, ReplyError, Request, Scan, Stamp, Status, Stream,
 };
 use crate::state::Shared;
-use crate::{Error, ErrorKind, Geometry, Window};
+use crate::{BaudRate, Error, ErrorKind, Geometry, Window};
 
 /// Milliseconds after which the sensor's clock begins anew: 24 bits (p. 12).
 const CLOCK: u32 = 1 << 24;
@@ -137,7 +137,7 @@ impl Scip2<'_> {
 
     /// Receives a scan of the stream, or an error that ends it, and lets it wait.
     fn poll_frame(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), LinkError>> {
-        let before = self.state.waiting.len();
+        let (before, baud_rate) = (self.state.waiting.len(), self.line.believed_baud_rate());
         while let Some(running) = &self.state.running
             && self.state.waiting.len() == before
         {
@@ -156,9 +156,9 @@ impl Scip2<'_> {
             let (times, wire_len) = (received.times, received.wire_len());
             let mut is_own = false;
             if let FoundFrame::Reply(bytes) = received.frame() {
-                let own = find_own(&request, bytes).map(|_| request);
+                let own = find_own(&request, bytes, &times, baud_rate).map(|_| request);
                 self.line.observers.pass(|| raw_reply(bytes, own, &times));
-                is_own = self.state.take_streamed(bytes, &times, &self.line.shared);
+                is_own = self.state.take_streamed(bytes, &times, baud_rate, &self.line.shared);
             }
             drop(received);
             if !is_own {
@@ -221,14 +221,16 @@ impl State {
         &mut self,
         frame: &[u8],
         times: &ReplyTimes,
+        baud_rate: Option<BaudRate>,
         shared: &Shared,
     ) -> bool {
         let Some(running) = self.running else { return false };
         let request = running.request;
-        let Some(frame) = find_own(&request, frame) else { return false };
+        let own = find_own(&request, frame, times, baud_rate);
+        let Some((frame, times)) = own else { return false };
         match Reply::parse(&request, frame) {
             Ok(Reply { content: Content::Scan(scan), .. }) => {
-                self.add_scan(running, scan, *times, shared);
+                self.add_scan(running, scan, times, shared);
             }
             // The answer to the command, once more.
             Ok(Reply { status, .. }) if status.is_ok() => {}
@@ -251,7 +253,7 @@ impl State {
         let latest = self.latest.replace((scan.stamp(), times.received));
         if let Some((stamp, received)) = latest {
             let revolution = self.geometry.revolution();
-            if stamp == scan.stamp() && times.received - received < revolution / 2 {
+            if stamp == scan.stamp() && times.began.duration_since(received) < revolution / 2 {
                 tracing::trace!("the line has delivered a scan twice");
                 return;
             }
