@@ -39,6 +39,9 @@ const PERIOD_DEVIATION: f64 = 0.003;
 /// without the uncertainty of the line.
 const GATE: f64 = 2.0e-3;
 const MOTOR_GATE: f64 = 1.2e-3;
+/// Standard deviation in seconds above which the line starts again: after a pause, if the clock's rate
+/// was not known well.
+const LARGEST_DEVIATION: f64 = 0.5e-3;
 /// Weight of an arrival below the line. An arrival above it has weight 1.
 const EARLY_WEIGHT: f64 = 40.0;
 /// The fit starts again after a pause of this many seconds.
@@ -140,9 +143,11 @@ impl SensorClock {
         lines.clock = clock;
         lines.arrivals.advance(passed, 1.0 / MEMORY);
         let late = arrived - lines.arrivals.value;
-        let gate = GATE + 3.0 * lines.arrivals.deviation();
+        let deviation = lines.arrivals.deviation();
+        let gate = GATE + 3.0 * deviation;
+        let is_lost = lines.is_used() && deviation > LARGEST_DEVIATION;
         // Not a number if rounding has made a determinant negative.
-        if gate.is_nan() || late < -gate || passed > LONGEST_PAUSE {
+        if gate.is_nan() || late < -gate || passed > LONGEST_PAUSE || is_lost {
             self.jumps += u64::from(lines.is_used());
             return self.start(clock, arrived);
         }
