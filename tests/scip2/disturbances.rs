@@ -11,7 +11,7 @@ use tokio_scip::{BaudRate, ErrorKind, Rate, Window};
 use urg_emulator::{Emulator, Fault, Faults, Firmware, Model};
 
 use super::refusals::{PARAMETERS, VERSION};
-use super::{next, numbered};
+use super::{next, numbered, revolution};
 use crate::common::builder;
 
 fn commands(emulator: &Emulator, head: &[u8]) -> usize {
@@ -178,4 +178,23 @@ async fn nothing_goes_beside_a_stream_whose_answer_was_damaged() {
     while !asked.recv().await.unwrap().starts_with("MD") {}
     let next = asked.recv().await.unwrap();
     assert!(next.starts_with("QT"), "{next}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_copy_on_a_slow_line_is_no_scan() {
+    let emulator = numbered(Model::Urg04lx).firmware(Firmware::V31);
+    let emulator = emulator.baud_rate(BaudRate::B57600).build();
+    let asking = builder().protocol(Protocol::Scip2).baud_rate(BaudRate::B57600).depth(64);
+    let sensor = asking.connect(emulator.clone()).await.unwrap();
+    // A reply takes longer than half a revolution.
+    let window = Window::new(300..=420).unwrap();
+    let mut stream = sensor.scans(window, Rate::UNLIMITED).await.unwrap();
+    emulator.set_faults(Faults::none().rate(0.3, Fault::Doubled).seed(1));
+    let mut latest = revolution(&next(&mut stream).await);
+    for _ in 0..100 {
+        let now = revolution(&next(&mut stream).await);
+        assert!(latest < now, "{now} after {latest}");
+        latest = now;
+    }
+    assert!(commands(&emulator, b"MD") > 0);
 }

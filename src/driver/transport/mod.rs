@@ -205,7 +205,7 @@ impl Transport {
         self.frames = 1;
         self.pauses.begin_reply();
         (self.beginning, self.paused_until) = (None, None);
-        if !self.input.is_empty() {
+        if self.input.iter().any(|byte| *byte != 0) {
             // Its first bytes came with the last ones of the frame before.
             self.begin_reply();
         }

@@ -201,3 +201,26 @@ async fn a_nul_in_front_begins_no_reply() {
     assert_eq!(times.began - begin, Duration::from_millis(160));
     assert_eq!(times.received - begin, Duration::from_millis(240));
 }
+
+#[tokio::test(start_paused = true)]
+async fn a_nul_behind_a_reply_begins_no_other() {
+    let (near, mut far) = tokio::io::duplex(64);
+    let mut transport = on(StreamPort(near));
+    let begin = Instant::now();
+    let send = async {
+        for piece in [&b"MD\n00P\n\n\0"[..], b"MD\n99b\n\n"] {
+            sleep(Duration::from_millis(80)).await;
+            far.write_all(piece).await.unwrap();
+        }
+    };
+    let receive = async {
+        transport.send(b"MD", &ANY, Duration::from_secs(1)).await.unwrap();
+        drop(transport.next_frame().await.unwrap());
+        transport.expect_unasked(&ANY, Duration::from_secs(1));
+        let times = std::future::poll_fn(|cx| {
+            transport.poll_unasked_frame(cx).map(|received| received.unwrap().times)
+        });
+        assert_eq!(times.await.began - begin, Duration::from_millis(160));
+    };
+    tokio::join!(send, receive);
+}

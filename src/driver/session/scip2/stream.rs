@@ -253,10 +253,12 @@ impl State {
         let latest = self.latest.replace((scan.stamp(), times.received));
         if let Some((stamp, received)) = latest {
             let revolution = self.geometry.revolution();
-            if stamp == scan.stamp() && times.began.duration_since(received) < revolution / 2 {
+            let is_soon = times.began.duration_since(received) < revolution / 2;
+            if stamp == scan.stamp() && (self.clock_moves || is_soon) {
                 tracing::trace!("the line has delivered a scan twice");
                 return;
             }
+            self.clock_moves |= stamp != scan.stamp();
             let period = revolution * (u32::from(running.skipped) + 1);
             shared.counters.stats().lost += lost(stamp, scan.stamp(), period);
         }
