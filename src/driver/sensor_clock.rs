@@ -41,7 +41,7 @@ const GATE: f64 = 2.0e-3;
 const MOTOR_GATE: f64 = 1.2e-3;
 /// Standard deviation in seconds above which the line starts again: after a pause, if the clock's rate
 /// was not known well.
-const LARGEST_DEVIATION: f64 = 0.5e-3;
+const LARGEST_DEVIATION: f64 = 0.2e-3;
 /// Weight of an arrival below the line. An arrival above it has weight 1.
 const EARLY_WEIGHT: f64 = 40.0;
 /// The fit starts again after a pause of this many seconds.
@@ -128,14 +128,16 @@ impl SensorClock {
         Self { origin: Instant::now(), nominal, lines: None, jumps: 0 }
     }
 
-    /// Adds a scan whose first byte arrived at `arrived`, with the sensor's clock `since` the scan
-    /// before. Returns when its revolution ended.
+    /// Adds a scan whose first byte arrived at `arrived`, with this time of the sensor's clock, of a
+    /// stream that began at `begun`. Returns when its revolution ended.
     pub(crate) fn observe(
         &mut self,
         clock: Duration,
         wrap: Duration,
         arrived: Instant,
+        begun: Instant,
     ) -> Revolution {
+        let longest = arrived.saturating_duration_since(begun).as_secs_f64() + self.nominal;
         let arrived = arrived.saturating_duration_since(self.origin).as_secs_f64();
         let (clock, wrap) = (clock.as_secs_f64(), wrap.as_secs_f64());
         let Some(mut lines) = self.lines else { return self.start(clock, arrived) };
@@ -145,7 +147,8 @@ impl SensorClock {
         let late = arrived - lines.arrivals.value;
         let deviation = lines.arrivals.deviation();
         let gate = GATE + 3.0 * deviation;
-        let is_lost = lines.is_used() && deviation > LARGEST_DEVIATION;
+        // Nothing was sent before its stream began: the sensor has restarted meanwhile.
+        let is_lost = lines.is_used() && deviation > LARGEST_DEVIATION || late > longest + gate;
         // Not a number if rounding has made a determinant negative.
         if gate.is_nan() || late < -gate || passed > LONGEST_PAUSE || is_lost {
             self.jumps += u64::from(lines.is_used());

@@ -100,3 +100,21 @@ async fn stamps_after_a_pause_are_right() {
         assert_eq!(stamped, 10 + 40 + 10, "{model:?}");
     }
 }
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_that_restarted_between_two_streams_has_a_new_clock() {
+    let emulator = numbered(Model::Utm30lx).build();
+    let sensor = builder().depth(64).connect(emulator.clone()).await.unwrap();
+    for _ in 0..2 {
+        let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+        for _ in 0..400 {
+            let Ok(scan) = stream.next().await.unwrap() else { continue };
+            assert!(lateness(&emulator, &scan).abs() < 11.0, "{scan:?}");
+        }
+        drop(stream);
+        // Its clock reads the same when the next stream begins.
+        sleep(Duration::from_secs(20)).await;
+        emulator.power_cycle();
+        sleep(Duration::from_millis(10_025)).await;
+    }
+}

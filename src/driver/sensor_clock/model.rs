@@ -84,7 +84,7 @@ impl Cell {
             // Bytes of a stream keep their order.
             read = (sent + host.delay(sent, &mut random)).max(read);
             let at = epoch + Duration::from_secs_f64(read);
-            let revolution = clock.observe(stamp, Duration::from_secs_f64(wrap), at);
+            let revolution = clock.observe(stamp, Duration::from_secs_f64(wrap), at, epoch);
             self.stamps += 1;
             let Some(lateness) = revolution.lateness else { continue };
             self.waits.extend(first.take().map(|first| end - first));

@@ -112,7 +112,8 @@ impl Scip2<'_> {
                     let kept = if is_identity { frame.to_vec() } else { Vec::new() };
                     outcome = parsed.map(|reply| (reply, kept, frame.len()));
                 } else {
-                    is_streamed = self.state.take_streamed(bytes, &times, baud_rate, &self.line.shared);
+                    is_streamed =
+                        self.state.take_streamed(bytes, &times, baud_rate, &self.line.shared);
                 }
             }
             drop(received);

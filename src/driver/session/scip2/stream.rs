@@ -8,6 +8,8 @@ use std::future::poll_fn;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
+use tokio::time::Instant;
+
 use super::super::super::failure::{ExchangeError, LinkError};
 use super::super::super::schedule::StreamWish;
 use super::super::super::transport::{Expected, ReplyTimes};
@@ -35,6 +37,8 @@ pub(super) struct Running {
     request: Request,
     window: Window,
     pub(super) skipped: u8,
+    /// When it was asked for.
+    begun: Instant,
 }
 
 /// What a stream has sent, and the driver has not yet delivered: scans and errors.
@@ -81,7 +85,7 @@ impl Scip2<'_> {
         // Without an answer, nothing tells whether the sensor sends one.
         self.state.has_stray_frames |= answer.is_err();
         let answer = accepted(&command, answer?)?;
-        let running = Running { request, window, skipped };
+        let running = Running { request, window, skipped, begun: answer.times.requested };
         self.state.running = Some(running);
         // The first answer may be lost, and a scan come in its place.
         if let Content::Scan(scan) = answer.content {
@@ -265,7 +269,8 @@ impl State {
         let (window, stamp) = (running.window, scan.stamp());
         let mut acquired = acquired(scan, times);
         if let Some(told) = acquired.told.as_deref_mut().filter(|_| !times.is_replayed) {
-            told.revolution = self.clock.observe(stamp.since_zero(), WRAP, times.began);
+            told.revolution =
+                self.clock.observe(stamp.since_zero(), WRAP, times.began, running.begun);
             told.motor = self.clock.stats();
         }
         self.waiting.push_back(Ok(Streamed { window, acquired }));
