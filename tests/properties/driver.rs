@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use tokio::time::{sleep, timeout};
+use tokio_scip::protocol::Protocol;
 use tokio_scip::{ErrorKind, Rate, Scan, ScanStream, Sensor, State, Window};
 
 use super::peer::Peer;
@@ -29,6 +30,8 @@ pub(crate) fn the_driver_stands_any_port_and_any_user(script: &[u8]) {
 async fn use_sensor(script: Script<'_>, peer: Peer) {
     fastrand::seed(0);
     let builder = Sensor::builder().wait_for_sensor(true).reply_latency(Duration::from_millis(200));
+    let protocol = peer.lock().protocol;
+    let builder = if protocol == Protocol::Scip2 { builder.protocol(protocol) } else { builder };
     let (sensor, driver) = builder.build(peer.clone());
     let driver = tokio::spawn(driver);
     User { sensor: sensor.clone(), peer: peer.clone(), stream: None, off: None, last: None }
@@ -129,10 +132,11 @@ impl User {
         let request = self.peer.lock().check(&scan);
         assert_eq!(scan.len(), stream.window().points());
         if let Some(last) = self.last.replace(scan.clone()) {
-            assert!(
-                last.sequence() < scan.sequence()
-                    && last.received_at() <= scan.times().requested_at
-            );
+            let is_later = match self.peer.lock().protocol {
+                Protocol::Scip2 => last.received_at() <= scan.received_at(),
+                _ => last.received_at() <= scan.times().requested_at,
+            };
+            assert!(last.sequence() < scan.sequence() && is_later);
             assert!(self.peer.lock().check(&last) < request);
         }
     }

@@ -4,6 +4,7 @@
 mod driver;
 mod framing;
 mod peer;
+mod peer_scip2;
 mod replies;
 mod scip2;
 mod script;

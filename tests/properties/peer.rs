@@ -1,6 +1,6 @@
 //! A sensor and a port that follow a script: the driver's other end. The sensor is on
-//! USB, writes the number of each `G` into its data, and works without faults after the
-//! script's end.
+//! USB, speaks SCIP 1.1 or SCIP 2 (`peer_scip2`), writes the number of each scan into its data, and
+//! works without faults after the script's end.
 //!
 //! No fault in the script makes another valid reply, so that no wrong reply may ever be
 //! accepted: no bit is flipped, at most one byte is lost or added, and garbage has no
@@ -16,8 +16,10 @@ use std::time::Duration;
 use tokio::io::ReadBuf;
 use tokio::time::{Instant, Sleep, sleep_until};
 use tokio_scip::port::Connect;
+use tokio_scip::protocol::Protocol;
 use tokio_scip::{Error, ErrorKind, Scan};
 
+use super::peer_scip2::ScriptedStream;
 use super::script::Script;
 use super::test_port::{FarEnd, TestPort};
 
@@ -26,6 +28,9 @@ use super::test_port::{FarEnd, TestPort};
 pub(crate) struct Peer(Arc<Mutex<PeerState>>);
 
 pub(crate) struct PeerState {
+    pub(crate) protocol: Protocol,
+    /// Scans that a sensor of SCIP 2 sends unasked.
+    pub(super) stream: Option<ScriptedStream>,
     script: VecDeque<u8>,
     /// Bytes that each read delivers and each write accepts, repeated; 0 is "not ready".
     sizes: Vec<u8>,
@@ -44,7 +49,7 @@ pub(crate) struct PeerState {
     bytes_sent: u64,
     bytes_read: u64,
     /// Times at which each `G` that was answered with data arrived.
-    scans: Vec<Instant>,
+    pub(super) scans: Vec<Instant>,
     pub(crate) laser: bool,
     /// Number of `G`s for more than one step, which no fence is.
     pub(crate) polls: u64,
@@ -60,9 +65,12 @@ enum PeerEnding {
 impl Peer {
     pub(crate) fn new(script: &[u8]) -> Self {
         let mut header = Script::new(script);
+        let protocol = [Protocol::Scip1, Protocol::Scip2][usize::from(header.byte()) % 2];
         let sizes = header.take(4).to_vec();
         let script = header.take(usize::MAX).iter().copied().collect();
         Self(Arc::new(Mutex::new(PeerState {
+            protocol,
+            stream: None,
             script,
             sizes,
             turns: 0,
@@ -77,7 +85,7 @@ impl Peer {
             bytes_sent: 0,
             bytes_read: 0,
             scans: Vec::new(),
-            laser: true,
+            laser: protocol == Protocol::Scip1,
             polls: 0,
             fence: None,
         })))
@@ -96,12 +104,12 @@ impl Peer {
 }
 
 /// Returns the value at `step`: a digit in base 4000, repeated every three steps.
-fn code(request: u64, step: u64) -> u32 {
+pub(super) fn code(request: u64, step: u64) -> u32 {
     20 + (request / 4000_u64.pow((step % 3) as u32) % 4000) as u32
 }
 
 impl PeerState {
-    fn next(&mut self) -> u8 {
+    pub(super) fn next(&mut self) -> u8 {
         self.script.pop_front().unwrap_or(0)
     }
 
@@ -124,7 +132,9 @@ impl PeerState {
             }
             let line = std::mem::take(&mut self.line);
             let torn = std::mem::take(&mut self.torn);
-            if is_command(&line) {
+            if self.protocol == Protocol::Scip2 {
+                self.answer_scip2(&line);
+            } else if is_command(&line) {
                 self.answer(&line);
             } else if !line.is_empty() {
                 assert!(torn, "not a command: {}", line.escape_ascii());
@@ -165,7 +175,7 @@ impl PeerState {
         self.deliver(&reply, is_fence);
     }
 
-    fn deliver(&mut self, whole: &[u8], is_fence: bool) {
+    pub(super) fn deliver(&mut self, whole: &[u8], is_fence: bool) {
         let mut reply = whole.to_vec();
         // Never at once: polling at the highest rate would stop the paused clock.
         let mut delay = Duration::from_millis(20);
@@ -235,8 +245,10 @@ impl PeerState {
             (first..).zip(scan.raw_values()).all(|(step, value)| value == code(request, step));
         assert!(whole, "mixed data: {scan:?}");
         let arrived = self.scans[request as usize];
+        // A sensor of SCIP 2 sends scans unasked.
+        let is_own = scan.times().requested_at <= arrived || self.protocol == Protocol::Scip2;
         assert!(
-            scan.times().requested_at <= arrived && arrived <= scan.received_at(),
+            is_own && arrived <= scan.received_at(),
             "the answer to {request} is attached to another request"
         );
         request
@@ -302,6 +314,7 @@ impl FarEnd for Wire {
         assert_eq!(state.link, self.link, "a port was read after a newer one was opened");
         loop {
             let now = Instant::now();
+            state.send_streamed(now);
             if state.sent.front().is_some_and(|(at, _)| *at <= now) {
                 let most = state.size().min(buffer.remaining());
                 let count = state.sent.iter().take(most).take_while(|(at, _)| *at <= now).count();
@@ -321,8 +334,10 @@ impl FarEnd for Wire {
                 }
                 None => state.reader = Some(context.waker().clone()),
             }
-            let Some((next, _)) = state.sent.front() else { return Poll::Pending };
-            ready!(wait(&mut self.timers[0], *next, context));
+            let sent = state.sent.front().map(|(at, _)| *at);
+            let streamed = state.stream.as_ref().map(|stream| stream.next);
+            let Some(next) = sent.into_iter().chain(streamed).min() else { return Poll::Pending };
+            ready!(wait(&mut self.timers[0], next, context));
         }
     }
 

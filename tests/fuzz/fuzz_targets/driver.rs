@@ -5,6 +5,8 @@
 mod driver;
 #[path = "../../properties/peer.rs"]
 mod peer;
+#[path = "../../properties/peer_scip2.rs"]
+mod peer_scip2;
 #[path = "../../properties/script.rs"]
 mod script;
 #[path = "../../common/test_port.rs"]
