@@ -3,8 +3,9 @@
 use std::time::Duration;
 
 use tokio_scip::port::Connect;
-use tokio_scip::{BaudRate, Error};
-use urg_emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Link, Pace};
+use tokio_scip::protocol::Protocol;
+use tokio_scip::{BaudRate, Error, Window};
+use urg_emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Link, Model, Pace};
 
 use super::truth::SimulationTruth;
 use crate::common::faulty_link::{Call, FaultyLink, LinkFailure};
@@ -12,11 +13,17 @@ use crate::common::random::Random;
 use crate::common::ready_port::ReadyPort;
 
 pub(crate) const SERIAL_NUMBER: &str = "H0713090";
+const SCIP2_MODELS: [Model; 4] =
+    [Model::Urg04lx, Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx];
+/// Constant delay of each reply in SCIP 2, so that polls as fast as possible do not stop the clock.
+pub(crate) const SCIP2_LATENCY: Duration = Duration::from_millis(1);
 
 /// A sensor and its faults, as drawn from a seed.
 pub(crate) struct Case {
     pub(crate) emulator: Emulator,
-    /// `None` on USB.
+    pub(crate) protocol: Protocol,
+    model: Model,
+    /// `None` on USB and Ethernet.
     pub(crate) speed: Option<BaudRate>,
     pub(crate) boot: Duration,
     pub(crate) faults: Faults,
@@ -26,6 +33,8 @@ pub(crate) struct Case {
     pub(crate) refuses: bool,
     /// True if replies arrive twice.
     pub(crate) doubles: bool,
+    /// True if the sensor's clock jumps: no stamp is compared then.
+    pub(crate) jumps: bool,
     /// True if commands may reach the sensor in part.
     pub(crate) torn: bool,
     /// True if the driver may have to send a command before a reply has ended.
@@ -39,8 +48,11 @@ pub(crate) struct Case {
 
 impl std::fmt::Debug for Case {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { speed, boot, faults, events, script, .. } = self;
-        write!(f, "{speed:?}, boots {boot:?}, {faults:?}, {events:?}, {script:?}")
+        let Self { protocol, model, speed, boot, faults, events, script, .. } = self;
+        write!(
+            f,
+            "{model:?} in {protocol}, {speed:?}, boots {boot:?}, {faults:?}, {events:?}, {script:?}"
+        )
     }
 }
 
@@ -56,33 +68,50 @@ pub(crate) struct CaseEvents {
 
 impl Case {
     pub(crate) fn draw(random: &mut Random) -> Self {
+        let protocol = *random.pick(&[Protocol::Scip1, Protocol::Scip2]);
+        let model = match protocol {
+            Protocol::Scip2 => *random.pick(&SCIP2_MODELS),
+            _ => Model::Urg04lx,
+        };
         let speed = random.once_in(2).then(|| *random.pick(&BaudRate::ALL));
+        let speed = speed.filter(|_| model == Model::Urg04lx);
         let boot = if random.once_in(3) { Duration::from_millis(1500) } else { Duration::ZERO };
         let truth = SimulationTruth::default();
-        let builder =
-            Emulator::builder().serial_number(SERIAL_NUMBER).boot_time(boot).log_capacity(256);
+        let builder = Emulator::builder().model(model).serial_number(SERIAL_NUMBER).boot_time(boot);
         let builder = match speed {
             Some(speed) => builder.baud_rate(speed),
             None => builder.usb(),
         };
         let empty = [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds];
+        let builder = match protocol {
+            Protocol::Scip2 => {
+                let faster = (random.below(4001) as f64 - 2000.0) * 1e-6;
+                let clock = random.ms(1 << 24);
+                builder.firmware(Firmware::V31).latency(SCIP2_LATENCY).clock(clock, faster)
+            }
+            _ => builder
+                .firmware(*random.pick(&[Firmware::Text, Firmware::V3]))
+                .pace(*random.pick(&[Pace::AtOnce, Pace::PerRevolution]))
+                .latency(Duration::from_millis(20) + random.ms(30)),
+        };
         let emulator = builder
-            .firmware(*random.pick(&[Firmware::Text, Firmware::V3]))
             .empty_command(*random.pick(&empty))
-            .pace(*random.pick(&[Pace::AtOnce, Pace::PerRevolution]))
-            .latency(Duration::from_millis(20) + random.ms(30))
+            .log_capacity(256)
             .stray_byte(random.once_in(2))
             .world(truth.world())
             .seed(random.next())
             .build();
         let mut case = Self {
             emulator,
+            protocol,
+            model,
             speed,
             boot,
             faults: Faults::none().seed(random.next()),
             flips: 0,
             refuses: false,
             doubles: false,
+            jumps: false,
             torn: false,
             overlaps: false,
             lingers: Duration::ZERO,
@@ -96,6 +125,9 @@ impl Case {
             truth,
             script: LinkScript::draw(random),
         };
+        if case.is_fast() {
+            case.script.reads = case.script.reads.max(64);
+        }
         case.events.unplug |= case.events.other_sensor;
         case.draw_faults(random);
         let CaseEvents { unplug, power_cycle, other_sensor, other_program, unrequested_bytes } =
@@ -105,20 +137,50 @@ impl Case {
         case
     }
 
+    /// Steps that the sensor measures, and that it can be asked for.
+    pub(crate) fn widest(&self) -> Window {
+        let steps = match (self.protocol, self.is_fast()) {
+            (Protocol::Scip2, true) => 0..=1080,
+            (Protocol::Scip2, false) => 44..=725,
+            _ => 0..=768,
+        };
+        Window::new(steps).unwrap()
+    }
+
+    /// The window of the scans of a stream that asked for this one.
+    pub(crate) fn window_of(&self, asked: Window) -> Window {
+        let is_detection = (asked.start(), asked.end()) == (44, 725);
+        match self.is_fast() && is_detection {
+            true => self.widest().with_cluster_count(asked.cluster_count()).unwrap(),
+            false => asked,
+        }
+    }
+
+    /// Returns true if it sends 40 scans a second.
+    fn is_fast(&self) -> bool {
+        matches!(self.model, Model::Utm30lx | Model::Ust10lx)
+    }
+
     fn draw_faults(&mut self, random: &mut Random) {
         let long = Duration::from_secs(3);
-        // Only one of these: two together can shift points between them undetectably.
+        // Only one of these: two together can shift points between them undetectably, or cancel
+        // each other out in a sum.
         let place = random.below(1500) as usize;
-        let damage = [
+        let is_scip2 = self.protocol == Protocol::Scip2;
+        let flip = Fault::Flip(place, 1 << random.below(8));
+        let mut damage = vec![
             Fault::Damaged,
             Fault::Drop(place..place + 1),
             Fault::Insert(place, vec![*random.pick(&b"\n\r\x000\xff"[..])]),
             Fault::Repeat(place..place + 65),
             Fault::Cut(place),
         ];
+        if is_scip2 {
+            damage.extend([flip.clone(), Fault::WrongSum]);
+        }
         let mut faults = std::mem::take(&mut self.faults);
-        for kind in 0..18 {
-            if !random.once_in(5) {
+        for kind in 0..if is_scip2 { 20 } else { 18 } {
+            if !random.once_in(5) || is_scip2 && kind == 7 {
                 continue;
             }
             let rate = [0.001, 0.01, 0.05][random.below(3) as usize];
@@ -131,12 +193,13 @@ impl Case {
                 5 => faults.rate(rate, Fault::Doubled),
                 6 => {
                     let damage = random.pick(&damage).clone();
-                    self.flips += usize::from(damage == Fault::Damaged);
+                    // A sum shows each flipped bit.
+                    self.flips += usize::from(damage == Fault::Damaged && !is_scip2);
                     faults.rate(rate, damage)
                 }
                 7 => {
                     self.flips += 1;
-                    faults.rate(rate, Fault::Flip(place, 1 << random.below(8)))
+                    faults.rate(rate, flip.clone())
                 }
                 8 => faults.rate(rate, Fault::Merged),
                 9 => faults.rate(rate, Fault::Garbage(b"\0\0garbage\n".to_vec())),
@@ -151,10 +214,13 @@ impl Case {
                     let place = *random.pick(&[10, 3]);
                     faults.rate(rate, Fault::Insert(place, b"0".to_vec()))
                 }
-                _ => faults.rate(rate, Fault::Pause(20, Duration::from_millis(450))),
+                17 => faults.rate(rate, Fault::Pause(20, Duration::from_millis(450))),
+                18 => faults.rate(rate, Fault::Ignored),
+                _ => faults.clock_jump(rate / 20.0, long),
             };
             self.refuses |= kind == 2;
             self.doubles |= kind == 5;
+            self.jumps |= kind == 19;
             self.overlaps |= kind > 2;
             self.torn |= matches!(kind, 13 | 14);
             self.lingers = self.lingers.max(match kind {

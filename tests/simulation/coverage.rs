@@ -20,7 +20,7 @@ pub(crate) struct Coverage {
 }
 
 /// Counters that must not be 0 after hours of simulation.
-const EXPECTED: [&str; 27] = [
+const EXPECTED: [&str; 29] = [
     "error AnotherSensor",
     "error Disconnected",
     "error LaserOff",
@@ -48,6 +48,8 @@ const EXPECTED: [&str; 27] = [
     "malformed length",
     "malformed character",
     "malformed overlong",
+    "malformed line",
+    "scip2 scans",
 ];
 
 impl Coverage {
@@ -66,6 +68,23 @@ impl Coverage {
             _ => "of another kind",
         };
         self.count(format!("error {kind}"), 1);
+    }
+
+    /// Counts a stamp that rests on the sensor's clock.
+    pub(crate) fn stamp(&mut self, error: Duration) {
+        self.count("stamps by the clock".to_owned(), 1);
+        if error > Duration::from_millis(2) {
+            self.count("stamps off by 2 ms".to_owned(), 1);
+        }
+    }
+
+    /// Counts simulated time of SCIP 2.
+    pub(crate) fn scip2(&mut self, time: Duration) {
+        self.count("scip2 ms".to_owned(), time.as_millis() as u64);
+    }
+
+    pub(crate) fn scip2_scan(&mut self) {
+        self.count("scip2 scans".to_owned(), 1);
     }
 
     pub(crate) fn state(&mut self, state: &State) {
@@ -97,6 +116,7 @@ impl Coverage {
             ("malformed length", malformed.length),
             ("malformed character", malformed.character),
             ("malformed overlong", malformed.overlong),
+            ("malformed line", malformed.line),
         ] {
             self.count(name.to_owned(), by);
         }
@@ -110,7 +130,15 @@ impl Coverage {
         let faults = self.counts.iter().filter(|(name, _)| name.starts_with("fault "));
         let faults: u64 = faults.map(|(_, count)| count).sum();
         let polls = self.counts.get("stats polls").copied().unwrap_or_default();
-        format!("polls {polls} checked {} faults {faults}", self.checked)
+        let [hours, scans, stamps, off] =
+            ["scip2 ms", "scip2 scans", "stamps by the clock", "stamps off by 2 ms"]
+                .map(|name| self.counts.get(name).copied().unwrap_or_default());
+        format!(
+            "polls {polls} checked {} faults {faults} scip2_hours {:.3} scip2_checked {scans} \
+             stamps {stamps} off {off}",
+            self.checked,
+            hours as f64 / 3.6e6
+        )
     }
 
     /// Fails if an expected counter is 0.
@@ -119,6 +147,12 @@ impl Coverage {
         let zero = self.counts.iter().filter(|(_, count)| **count == 0).map(|(name, _)| &**name);
         let never: Vec<&str> = never.copied().chain(zero).collect();
         assert!(never.is_empty(), "never happened: {never:?}\n{self}");
+        let [stamps, off] =
+            ["stamps by the clock", "stamps off by 2 ms"].map(|name| self.counts.get(name));
+        assert!(
+            off.copied().unwrap_or_default() * 1000 <= stamps.copied().unwrap_or_default(),
+            "{self}"
+        );
         assert!(self.missed > 0 && self.checked > 0 && self.kept_off > 0, "{self}");
     }
 }
@@ -139,7 +173,7 @@ fn kind(value: &impl std::fmt::Debug) -> String {
 }
 
 /// Returns a fault of each kind that the cases draw.
-fn faults() -> [Fault; 20] {
+fn faults() -> [Fault; 23] {
     [
         Fault::CommandLost,
         Fault::Lost,
@@ -161,5 +195,8 @@ fn faults() -> [Fault; 20] {
         Fault::Reset(0),
         Fault::HangUp(0),
         Fault::Endless(Vec::new()),
+        Fault::Ignored,
+        Fault::WrongSum,
+        Fault::ClockJump(0),
     ]
 }

@@ -39,22 +39,22 @@ fn seeds_find_no_wrong_scan_and_no_call_without_an_answer() {
     let hours = setting("SCIP_SIMULATION_HOURS").unwrap_or(times());
     // A number of seeds has precedence over a number of hours.
     let last = setting("SCIP_SIMULATION_SEEDS").map(|seeds| first + seeds);
-    let (mut simulated, mut longest) = (Duration::ZERO, [Duration::ZERO; 2]);
+    let (mut simulated, mut longest) = (Duration::ZERO, [Duration::ZERO; 3]);
     for seed in first.. {
         if last.map_or(simulated >= Duration::from_secs(hours * 3600), |last| seed == last) {
-            let [rs232, usb] = longest.map(|longest| longest.as_secs_f64());
+            let [rs232, usb, scip2] = longest.map(|longest| longest.as_secs_f64());
             let (seeds, hours) = (seed - first, simulated.as_secs_f64() / 3600.0);
             // `pieces.sh` adds such lines up.
             println!(
-                "piece {first} seeds {seeds} hours {hours:.3} usb {usb:.3} rs232 {rs232:.3} {}",
+                "piece {first} seeds {seeds} hours {hours:.3} usb {usb:.3} rs232 {rs232:.3} scip2 {scip2:.3} {}",
                 coverage.lock().unwrap().figures()
             );
             break;
         }
         let outcome = run(seed, &coverage);
         simulated += outcome.simulated;
-        let (took, usb) = outcome.recovery;
-        longest[usize::from(usb)] = longest[usize::from(usb)].max(took);
+        let (took, port) = outcome.recovery;
+        longest[port] = longest[port].max(took);
     }
     let coverage = coverage.lock().unwrap();
     println!("{coverage}");

@@ -55,14 +55,15 @@ sum)
         seen[$2]++ { print "piece " $2 " is there twice" > "/dev/stderr"; exit failed = 1 }
         {
             for (i = 3; i < NF; i += 2)
-                if ($i == "usb" || $i == "rs232") { if ($(i + 1) > most[$i]) most[$i] = $(i + 1) }
+                if ($i ~ /^(usb|rs232|scip2)$/) { if ($(i + 1) > most[$i]) most[$i] = $(i + 1) }
                 else sum[$i] += $(i + 1)
         }
         END {
             if (failed || !NR) exit 1
             printf "%d pieces, %d seeds, %.1f sensor-hours\n", NR, sum["seeds"], sum["hours"]
             printf "%d polls, %d scans checked, %d faults\n", sum["polls"], sum["checked"], sum["faults"]
-            printf "slowest recovery: %.2f s on USB, %.2f s on RS-232\n", most["usb"], most["rs232"]
+            printf "SCIP 2: %.1f sensor-hours, %d scans checked, %d stamps by the clock, %d of them off by 2 ms\n", sum["scip2_hours"], sum["scip2_checked"], sum["stamps"], sum["off"]
+            printf "slowest recovery: %.2f s on USB, %.2f s on RS-232, %.2f s on RS-232 in SCIP 2\n", most["usb"], most["rs232"], most["scip2"]
             printf "%.0f s of CPU time, %.1f sensor-hours a second\n", sum["seconds"], sum["hours"] / sum["seconds"]
         }' "$2"
     ;;

@@ -8,8 +8,9 @@ use std::time::Duration;
 
 use tokio::io::AsyncWriteExt;
 use tokio::time::{Instant, sleep, timeout};
+use tokio_scip::protocol::Protocol;
 use tokio_scip::{Error, ErrorKind, Rate, Sensor, State, Window};
-use urg_emulator::Faults;
+use urg_emulator::{Faults, Received, Verdict};
 
 use super::case::{Case, SERIAL_NUMBER, SimulatedConnect};
 use super::coverage::Coverage;
@@ -41,8 +42,8 @@ pub(crate) struct SimulationOutcome {
     pub(crate) simulated: Duration,
     pub(crate) trace: u64,
     /// Time until scans came again, without what outlasts the faults, and whether the
-    /// sensor is on USB.
-    pub(crate) recovery: (Duration, bool),
+    /// sensor is on RS-232, on USB, or on RS-232 in SCIP 2.
+    pub(crate) recovery: (Duration, usize),
 }
 
 impl Run {
@@ -131,6 +132,10 @@ async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> SimulationOutco
         true => builder.baud_rate(*random.pick(&tokio_scip::BaudRate::ALL)),
         false => builder,
     };
+    let builder = match case.protocol {
+        Protocol::Scip2 => builder.protocol(Protocol::Scip2),
+        _ => builder,
+    };
     let (sensor, driver) = builder.build(connect);
     let driver = tokio::spawn(driver);
 
@@ -155,11 +160,15 @@ async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> SimulationOutco
     end.unwrap().expect("the driver failed");
     assert!(!case.emulator.is_connected(), "the port was not closed");
     let trace = run.trace.lock().unwrap().finish();
-    SimulationOutcome {
-        simulated: run.start.elapsed(),
-        trace,
-        recovery: (recovery, case.speed.is_none()),
+    if case.protocol == Protocol::Scip2 {
+        coverage.lock().unwrap().scip2(run.start.elapsed());
     }
+    let port = match (case.speed, case.protocol) {
+        (None, _) => 1,
+        (Some(_), Protocol::Scip2) => 2,
+        (Some(_), _) => 0,
+    };
+    SimulationOutcome { simulated: run.start.elapsed(), trace, recovery: (recovery, port) }
 }
 
 /// Traces each state, and fails if one is the end of the driver.
@@ -215,8 +224,18 @@ async fn cause_faults(run: &Run, sensor: &Sensor, random: &mut Random) {
             2 if case.events.other_program => {
                 // Another program uses the port for a moment.
                 let mut link = emulator.link();
-                let says: [&[u8]; 4] = [b"S1152000000000\n", b"L0\n", b"G0007", b"G00076801\n"];
-                let bytes = *random.pick(&says);
+                let bytes: &[u8] = match case.protocol {
+                    Protocol::Scip2 => *random.pick(&[
+                        &b"SS115200\n"[..],
+                        b"QT\n",
+                        b"GD004",
+                        b"MD0044072501000\n",
+                        b"RS\n",
+                    ]),
+                    _ => {
+                        *random.pick(&[&b"S1152000000000\n"[..], b"L0\n", b"G0007", b"G00076801\n"])
+                    }
+                };
                 let _ = link.write_all(bytes).await;
                 sleep(random.ms(1000)).await;
             }
@@ -233,7 +252,13 @@ async fn cause_faults(run: &Run, sensor: &Sensor, random: &mut Random) {
 async fn recover(run: &Run, sensor: &Sensor) -> Duration {
     let (case, emulator) = (&run.case, &run.case.emulator);
     run.trace(format_args!("faults stop"));
-    let limit = Duration::from_secs(if case.speed.is_none() { 2 } else { 5 });
+    let limit = match (case.speed, case.protocol) {
+        (None, _) => 2,
+        // After a power cut it has lost its protocol, too.
+        (Some(_), Protocol::Scip2) => 7,
+        (Some(_), _) => 5,
+    };
+    let limit = Duration::from_secs(limit);
     // The time that outlasts the faults, and that is no part of the recovery.
     let mut allowance = case.lingers;
     run.healthy.store(true, Ordering::Relaxed);
@@ -286,7 +311,13 @@ async fn check_rest(run: &Run, sensor: &Sensor) {
     assert_eq!(baud_rate, emulator.baud_rate());
     assert!(!streaming && emulator.is_laser_on());
     let counts = emulator.counts();
-    assert!(run.case.torn || counts.malformed == 0, "{counts:?}: {:?}", emulator.log());
+    // What finds the protocol of a silent sensor: the fence of SCIP 1.1.
+    let looks_for_scip1 = |line: &Received| {
+        run.case.protocol == Protocol::Scip2 && line.line.len() == 9 && line.line.starts_with(b"G")
+    };
+    let log = emulator.log().into_iter();
+    let mut malformed = log.filter(|line| line.verdict == Verdict::Malformed && !line.garbled);
+    assert!(run.case.torn || malformed.all(|line| looks_for_scip1(&line)), "{counts:?}");
     // Garbled commands while the baud rate is looked for are answered, too.
     assert!(run.case.overlaps || counts.overlapping <= counts.garbled, "{counts:?}");
     let scans = counts.scans;

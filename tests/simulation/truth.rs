@@ -18,7 +18,20 @@ fn value(request: u64, step: usize) -> u32 {
     let mixed =
         (request as u32).wrapping_mul(0x9e37_79b1) ^ (step as u32).wrapping_mul(0x85eb_ca6b);
     let mixed = (mixed ^ (mixed >> 15)).wrapping_mul(0xc2b2_ae35);
-    20 + (((mixed >> 16) * 4000) >> 16)
+    30 + (((mixed >> 16) * 4000) >> 16)
+}
+
+/// Returns true if all values of a scan are those of this request.
+fn is_of(scan: &Timed, request: u64) -> bool {
+    let Timed { window, values, .. } = scan;
+    let (start, end) = (usize::from(window.start()), usize::from(window.end()));
+    let cluster = usize::from(window.cluster_count());
+    let firsts = (start..=end).step_by(cluster);
+    values.len() == window.points()
+        && firsts.zip(values).all(|(first, found)| {
+            let steps = first..=end.min(first + cluster - 1);
+            steps.map(|step| value(request, step)).min() == Some(*found)
+        })
 }
 
 /// A scan with the time of its request and of its reply.
@@ -41,12 +54,28 @@ impl SimulationTruth {
         let requests = Arc::clone(&self.0);
         move |time: WorldTime, codes: &mut Values| {
             let mut requests = requests.lock().unwrap();
+            // A scan that was not sent has the number of the next one.
+            requests.truncate(time.request as usize);
             assert_eq!(requests.len() as u64, time.request);
             requests.push(Instant::now());
             for (step, slot) in codes.iter_mut().enumerate() {
                 *slot = value(time.request, step);
             }
         }
+    }
+
+    /// When the scan with this number was sent.
+    pub(crate) fn measured_at(&self, request: u64) -> Instant {
+        self.0.lock().unwrap()[request as usize]
+    }
+
+    /// Returns the number of the scan that a sensor of SCIP 2 sent. Fails unless that was measured
+    /// before it was received, and each value is right.
+    pub(crate) fn find(&self, scan: &Timed) -> Result<u64, String> {
+        let requests = self.0.lock().unwrap();
+        let until = requests.partition_point(|at| *at <= scan.received) as u64;
+        let found = (0..until).rev().find(|request| is_of(scan, *request));
+        found.ok_or_else(|| format!("{:?} for {} is no scan", scan.values, scan.window))
     }
 
     /// Returns the `G` that the scan answers, and how many of its values are damaged.

@@ -4,26 +4,34 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use tokio::time::{Instant, sleep, timeout};
+use tokio_scip::protocol::Protocol;
+use tokio_scip::scan::StampQuality;
 use tokio_scip::{BaudRate, ErrorKind, Rate, Scan, Sensor, Window};
-use urg_emulator::{Emulator, Fault};
+use urg_emulator::{Emulator, Fault, SentScan};
 
+use super::case::SCIP2_LATENCY;
 use super::run::Run;
 use crate::common::random::Random;
+
+/// How much a stamp may be early, and late if it rests on the sensor's clock.
+const EARLIEST: Duration = Duration::from_millis(10);
+const LATEST: Duration = Duration::from_millis(10);
 
 fn window(run: &Run, random: &mut Random) -> Window {
     let cluster = [1, 1, 2, 5, 99][random.below(5) as usize];
     let window = match random.below(5) {
-        0 => Window::FULL,
+        0 => run.case.widest(),
         1 => Window::new(300..=340).unwrap(),
         2 => {
-            let start = random.below(740) as u16;
+            let widest = run.case.widest();
+            let start = widest.start() + random.below(widest.steps() as u64 - 28) as u16;
             Window::new(start..=start + 28).unwrap()
         }
         _ => Window::DETECTION,
     };
     // A copy can pass as the next scan of a window without a spare step (`guide::trust`).
     // `equal_polls_deliver_few_doubled_replies` counts them.
-    if run.case.doubles {
+    if run.case.doubles && run.case.protocol == Protocol::Scip1 {
         return if window == Window::FULL { Window::DETECTION } else { window };
     }
     // One wrong value of only a few would leave the scan without a clear identity.
@@ -72,21 +80,57 @@ pub(crate) async fn watcher(run: Run, sensor: Sensor, seed: u64) {
 
 /// Compares a scan with the truth and with the scan before it.
 fn check(run: &Run, window: Window, scan: &Scan, last: &mut Option<(u64, Scan)>) {
-    assert_eq!(scan.window(), window);
-    let (request, _) = run
-        .case
-        .truth
-        .check(&scan.into(), run.case.flips)
-        .unwrap_or_else(|wrong| panic!("{wrong}"));
+    let case = &run.case;
+    assert_eq!(scan.window(), case.window_of(window));
+    let request = match case.protocol {
+        Protocol::Scip2 => case.truth.find(&scan.into()),
+        _ => case.truth.check(&scan.into(), case.flips).map(|(request, _)| request),
+    };
+    let request = request.unwrap_or_else(|wrong| panic!("{wrong}"));
     run.trace(format_args!("scan {} is {request}", scan.sequence()));
     if let Some((before, last)) = last {
         assert!(*before < request, "a scan was delivered twice");
         assert!(last.sequence() < scan.sequence(), "the sequence does not rise");
-        assert!(last.times().requested_at < scan.times().requested_at, "time runs back");
-        assert!(last.received_at() <= scan.times().requested_at, "time runs back");
+        let [earlier, later] =
+            [last, scan].map(|scan| (scan.times().requested_at, scan.received_at()));
+        // A scan that a sensor of SCIP 2 sends unasked may come while the driver awaits another reply.
+        let is_later = match case.protocol {
+            Protocol::Scip2 => earlier.0 <= later.0 && earlier.1 <= later.1,
+            _ => earlier.0 < later.0 && earlier.1 <= later.0,
+        };
+        assert!(is_later, "time runs back: {earlier:?}, {later:?}");
     }
     *last = Some((request, scan.clone()));
+    if case.protocol == Protocol::Scip2 {
+        run.coverage.lock().unwrap().scip2_scan();
+        if !case.jumps {
+            check_stamp(run, request, scan);
+        }
+    }
     run.coverage.lock().unwrap().checked += 1;
+}
+
+/// Compares the time of the first ray with the truth.
+fn check_stamp(run: &Run, request: u64, scan: &Scan) {
+    let sent = run.case.emulator.sent_scans();
+    // Polled before a first revolution had ended, the emulator sends that one too early.
+    let is_whole = |sent: &&SentScan| sent.revolution_end <= run.case.truth.measured_at(request);
+    let sent = sent.iter().rfind(|sent| sent.time.request == request).filter(is_whole);
+    let Some(sent) = sent else { return };
+    let powered_at = sent.revolution_end - sent.time.at;
+    // A cluster counts as measured in its middle.
+    let first = scan.window().start() + u16::from(scan.window().cluster_count()) / 2;
+    let truth = powered_at + sent.time.at_step(first.into()) + SCIP2_LATENCY;
+    let found = scan.times().first_ray_at;
+    let early = truth.saturating_duration_since(found);
+    let late = found.saturating_duration_since(truth);
+    run.trace(format_args!("stamp {:?} early {early:?} late {late:?}", scan.times().quality));
+    let is_by_clock = scan.times().quality == StampQuality::SensorClock;
+    assert!(early <= EARLIEST, "a stamp is {early:?} early");
+    if is_by_clock {
+        assert!(late <= LATEST, "a stamp is {late:?} late");
+        run.coverage.lock().unwrap().stamp(early.max(late));
+    }
 }
 
 /// Requests single scans and the version, and often drops the request before it is
@@ -164,6 +208,15 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
     }
 }
 
+/// Returns true for the command of a scan, of either protocol: a fence or a probe has one step.
+fn is_poll(line: &[u8]) -> bool {
+    match line {
+        [b'G', steps @ ..] if line.len() == 9 => steps[..3] != steps[3..6],
+        [b'G' | b'M', b'D', steps @ ..] if steps.len() >= 8 => steps[..4] != steps[4..8],
+        _ => false,
+    }
+}
+
 /// Returns true if commands or their replies were lost.
 fn loses_commands(emulator: &Emulator) -> bool {
     emulator.fault_count(&Fault::CommandLost) + emulator.fault_count(&Fault::Lost) > 0
@@ -204,7 +257,7 @@ async fn stay_off(run: &Run, sensor: &Sensor, time: Duration) {
         if may_doubt && line == b"L0" {
             doubt_until = off.max(received.at + Duration::from_secs(8));
         }
-        let poll = line.len() == 9 && line[0] == b'G' && line[1..4] != line[4..7];
+        let poll = is_poll(line);
         let at = received.at;
         let is_doubted =
             doubts.iter().any(|doubt| at <= *doubt && *doubt - at <= Duration::from_millis(200));
