@@ -61,8 +61,8 @@ pub(super) struct State {
     clock: SensorClock,
     /// Sensor's clock of the stream's latest scan, and when it came.
     latest: Option<(Stamp, Instant)>,
-    /// True if two scans had different clocks: then two with the same are one that came twice.
-    clock_moves: bool,
+    /// True if that one came twice.
+    was_copied: bool,
 }
 
 impl State {
@@ -79,7 +79,7 @@ impl State {
             waiting: Waiting::new(),
             clock: SensorClock::new(Geometry::URG_04LX.revolution()),
             latest: None,
-            clock_moves: false,
+            was_copied: false,
         }
     }
 }

@@ -258,11 +258,12 @@ impl State {
         if let Some((stamp, received)) = latest {
             let revolution = self.geometry.revolution();
             let is_soon = times.began.duration_since(received) < revolution / 2;
-            if stamp == scan.stamp() && (self.clock_moves || is_soon) {
+            // One copy may come late. More than one are scans of a clock that stands still.
+            let was_copied = std::mem::replace(&mut self.was_copied, stamp == scan.stamp());
+            if stamp == scan.stamp() && (is_soon || !was_copied) {
                 tracing::trace!("the line has delivered a scan twice");
                 return;
             }
-            self.clock_moves |= stamp != scan.stamp();
             let period = revolution * (u32::from(running.skipped) + 1);
             shared.counters.stats().lost += lost(stamp, scan.stamp(), period);
         }
