@@ -10,6 +10,7 @@ mod fence;
 mod geometry;
 mod replies;
 mod scip2;
+mod sums;
 mod values;
 mod version;
 mod windows;

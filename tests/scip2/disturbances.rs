@@ -159,7 +159,7 @@ fn sensor_with_a_stream_of(
 }
 
 #[tokio::test(start_paused = true)]
-async fn answers_without_scans_end_a_stream() {
+async fn t16_answers_without_scans_end_a_stream() {
     crate::common::limit::limit();
     let (port, _asked) = sensor_with_a_stream_of(|_| Some("00P"));
     let sensor = builder().attach(port).await.unwrap();
@@ -181,7 +181,7 @@ async fn nothing_goes_beside_a_stream_whose_answer_was_damaged() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_copy_on_a_slow_line_is_no_scan() {
+async fn t14_a_copy_on_a_slow_line_is_no_scan() {
     let emulator = numbered(Model::Urg04lx).firmware(Firmware::V31);
     let emulator = emulator.baud_rate(BaudRate::B57600).build();
     let asking = builder().protocol(Protocol::Scip2).baud_rate(BaudRate::B57600).depth(64);
@@ -197,4 +197,22 @@ async fn a_copy_on_a_slow_line_is_no_scan() {
         latest = now;
     }
     assert!(commands(&emulator, b"MD") > 0);
+}
+
+#[tokio::test(start_paused = true)]
+async fn d16_a_stream_that_goes_on_is_ended_again() {
+    for model in [Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx] {
+        let emulator = numbered(model).build();
+        let sensor = builder().connect(emulator.clone()).await.unwrap();
+        let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+        next(&mut stream).await;
+        emulator.set_faults(Faults::none().once("QT", Fault::Ignored));
+        drop(stream);
+        sleep(Duration::from_secs(1)).await;
+        revolution(&sensor.scan(Window::DETECTION).await.unwrap());
+        sleep(Duration::from_secs(1)).await;
+        let sent = emulator.counts().scans;
+        sleep(Duration::from_secs(1)).await;
+        assert_eq!(emulator.counts().scans, sent, "{model:?}");
+    }
 }

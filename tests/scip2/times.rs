@@ -62,7 +62,7 @@ async fn stamps_rest_on_the_sensors_clock() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_scan_after_a_cut_one_has_its_own_time() {
+async fn t15_a_scan_after_a_cut_one_has_its_own_time() {
     let emulator = numbered(Model::Utm30lx).build();
     let sensor = builder().depth(64).connect(emulator.clone()).await.unwrap();
     let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
@@ -102,7 +102,7 @@ async fn stamps_after_a_pause_are_right() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_sensor_that_restarted_between_two_streams_has_a_new_clock() {
+async fn d15_a_sensor_that_restarted_between_two_streams_has_a_new_clock() {
     let emulator = numbered(Model::Utm30lx).build();
     let sensor = builder().depth(64).connect(emulator.clone()).await.unwrap();
     for _ in 0..2 {
