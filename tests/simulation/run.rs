@@ -224,18 +224,13 @@ async fn cause_faults(run: &Run, sensor: &Sensor, random: &mut Random) {
             2 if case.events.other_program => {
                 // Another program uses the port for a moment.
                 let mut link = emulator.link();
-                let bytes: &[u8] = match case.protocol {
-                    Protocol::Scip2 => *random.pick(&[
-                        &b"SS115200\n"[..],
-                        b"QT\n",
-                        b"GD004",
-                        b"MD0044072501000\n",
-                        b"RS\n",
-                    ]),
-                    _ => {
-                        *random.pick(&[&b"S1152000000000\n"[..], b"L0\n", b"G0007", b"G00076801\n"])
+                let says: &[&[u8]] = match case.protocol {
+                    Protocol::Scip2 => {
+                        &[b"SS115200\n", b"QT\n", b"GD004", b"MD0044072501000\n", b"RS\n"]
                     }
+                    _ => &[b"S1152000000000\n", b"L0\n", b"G0007", b"G00076801\n"],
                 };
+                let bytes = *random.pick(says);
                 let _ = link.write_all(bytes).await;
                 sleep(random.ms(1000)).await;
             }
