@@ -20,7 +20,7 @@ pub(crate) struct RateMeter {
     since: Instant,
     scans: u32,
     failures: u32,
-    /// Shortest time between the request of a scan and its arrival, but at least a revolution.
+    /// Shortest time between the request of a scan and its arrival.
     quickest: Duration,
     revolution: Duration,
     /// Latest finished span since the link was found.
@@ -60,10 +60,10 @@ impl RateMeter {
         self.span
     }
 
-    /// Counts a scan that took `latency` and `revolution`, whichever is longer.
+    /// Counts a scan that came after `latency`, of a motor that takes `revolution` for one.
     pub(crate) fn count_scan(&mut self, latency: Duration, revolution: Duration) {
         self.scans += 1;
-        self.quickest = self.quickest.min(latency.max(revolution));
+        self.quickest = self.quickest.min(latency);
         self.revolution = revolution;
     }
 
@@ -99,8 +99,9 @@ impl RateMeter {
         let wire_time = baud_rate.map(|baud_rate| window.wire_time(baud_rate));
         let wire_time = wire_time.unwrap_or_default();
         let can_reach = |each: Duration| self.rate.is_reached_by(1.0 / each.as_secs_f64());
-        let without_line = self.quickest.saturating_sub(wire_time).max(self.revolution);
-        match can_reach(self.quickest) {
+        let quickest = self.quickest.max(self.revolution);
+        let without_line = quickest.saturating_sub(wire_time).max(self.revolution);
+        match can_reach(quickest) {
             true => None,
             false if can_reach(without_line) || wire_time > without_line => Some(Shortfall::Line),
             false => Some(Shortfall::Sensor),

@@ -201,12 +201,13 @@ impl Schedules {
         let Self { all, missed, changed } = self;
         let Some(schedule) = find(all, poll.window, poll.rate) else { return Ended::default() };
         schedule.condition = None;
-        let latency = scan.received_at().saturating_duration_since(scan.meta.requested_at);
+        let received_at = scan.received_at();
+        let latency = received_at.saturating_duration_since(scan.meta.requested_at);
         schedule.speed.count_scan(latency, scan.scan_time());
         let (repeats, now_missed) = schedule.ring.push(scan);
         let newly_missed = now_missed - std::mem::replace(&mut schedule.missed, now_missed);
         *missed += newly_missed;
-        let falls_short = schedule.end_poll(baud_rate, None, changed);
+        let falls_short = schedule.end_poll(received_at, received_at, baud_rate, changed);
         Ended { repeats, newly_missed, falls_short }
     }
 
@@ -216,7 +217,7 @@ impl Schedules {
         let Some(schedule) = find(all, poll.window, poll.rate) else { return Ended::default() };
         schedule.report(error);
         schedule.speed.count_failure();
-        let falls_short = schedule.end_poll(None, Some(again), changed);
+        let falls_short = schedule.end_poll(Instant::now(), again, None, changed);
         Ended { falls_short, ..Ended::default() }
     }
 
@@ -344,16 +345,16 @@ impl Schedule {
     }
 
     /// Ends a poll, and returns true if the rate falls short and that is news. At [`Rate::UNLIMITED`]
-    /// the next poll is due at `due`, or now. Sets `changed` if the statistics have changed.
+    /// the next poll is due at `due`. Sets `changed` if the statistics have changed.
     fn end_poll(
         &mut self,
+        now: Instant,
+        due: Instant,
         baud_rate: Option<BaudRate>,
-        due: Option<Instant>,
         changed: &mut bool,
     ) -> bool {
-        let now = Instant::now();
         if self.rate.period().is_none() {
-            self.due = due.unwrap_or(now).max(now);
+            self.due = due;
         }
         let span = self.speed.finish_span(now, self.window, baud_rate);
         *changed |= span.is_some();

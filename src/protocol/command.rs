@@ -81,7 +81,10 @@ impl Command {
 
     /// Time that this command and its longest reply occupy a line at this baud rate.
     pub(crate) fn wire_time(&self, baud_rate: BaudRate) -> Duration {
-        baud_rate.wire_time(self.bytes().len() + 1 + self.reply_len())
+        match self {
+            Self::Distances(window) => window.wire_time(baud_rate),
+            other => baud_rate.wire_time(other.bytes().len() + 1 + other.reply_len()),
+        }
     }
 }
 

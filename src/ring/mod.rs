@@ -41,7 +41,7 @@ struct Inner {
     errors: u64,
     /// Set once the driver has ended: no more scans follow.
     ended: bool,
-    /// Depth of each reader, in any order.
+    /// Depth of each reader, the deepest first.
     depths: Vec<usize>,
     missed: u64,
 }
@@ -109,7 +109,7 @@ impl Ring {
 impl Inner {
     /// Depth of the deepest reader.
     fn depth(&self) -> usize {
-        self.depths.iter().copied().max().unwrap_or(1)
+        self.depths.first().copied().unwrap_or(1)
     }
 
     fn push(&mut self, mut scan: Scan) -> bool {
@@ -142,7 +142,7 @@ impl Inner {
     /// Removes a reader of this depth, and the scans that only it wanted.
     fn leave(&mut self, depth: usize) {
         if let Some(entry) = self.depths.iter().position(|one| *one == depth) {
-            self.depths.swap_remove(entry);
+            self.depths.remove(entry);
         }
         let surplus = self.scans.len().saturating_sub(self.depth());
         self.scans.drain(..surplus);
@@ -171,7 +171,8 @@ struct Place {
 impl Cursor {
     /// Registers a reader at this place.
     fn enter(ring: &Arc<Ring>, mut inner: MutexGuard<'_, Inner>, place: Place) -> Self {
-        inner.depths.push(place.depth);
+        let entry = inner.depths.partition_point(|depth| *depth > place.depth);
+        inner.depths.insert(entry, place.depth);
         drop(inner);
         let change = Box::pin(Arc::clone(&ring.changed).notified_owned());
         Self { ring: Arc::clone(ring), change, place }

@@ -95,6 +95,15 @@ impl PartialEq for Part<'_> {
     fn eq(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Short(one), Self::Short(other)) => one == other,
+            _ => self.is_equal_to(other),
+        }
+    }
+}
+
+impl Part<'_> {
+    #[cold]
+    fn is_equal_to(&self, other: &Self) -> bool {
+        match (self, other) {
             (Self::Long(one), Self::Long(other)) => one == other,
             _ => self.iter().eq(other.iter()),
         }

@@ -123,7 +123,7 @@ impl Service<'_> {
             let polling = !self.schedules.is_empty() && !self.laser.is_off();
             self.publish_streaming(polling);
             let due = self.schedules.next_due().filter(|_| polling);
-            let poll_is_due = due.is_some_and(|due| due <= Instant::now());
+            let poll_is_due = due.is_some_and(|due| due <= now);
             for _ in Turn::ALL {
                 latest = latest.next();
                 let is_served = match latest {
@@ -137,7 +137,7 @@ impl Service<'_> {
                     },
                     Turn::Setting if has_setting => rarely(|| self.apply_setting(session)).await?,
                     Turn::Poll if poll_is_due || session.is_streaming() => {
-                        self.poll_due(session).await?
+                        self.poll_due(session, now).await?
                     }
                     Turn::Setting | Turn::Poll => false,
                 };

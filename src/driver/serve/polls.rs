@@ -42,13 +42,17 @@ impl Service<'_> {
     }
 
     /// Returns false if there was nothing to do.
-    pub(super) async fn poll_due(&mut self, session: &mut Session) -> Result<bool, Stop> {
+    pub(super) async fn poll_due(
+        &mut self,
+        session: &mut Session,
+        now: Instant,
+    ) -> Result<bool, Stop> {
         if session.has_streams()
             && let Some(is_served) = rarely(|| self.serve_stream(session)).await?
         {
             return Ok(is_served);
         }
-        let Some((poll, skipped)) = self.schedules.take_due(Instant::now()) else {
+        let Some((poll, skipped)) = self.schedules.take_due(now) else {
             self.schedules.publish(&self.shared.counters);
             return Ok(true);
         };
@@ -61,7 +65,7 @@ impl Service<'_> {
         if poll.rate.period().is_some()
             && let Some(copies_end) = session.copies_end(window)
         {
-            self.timer.wait(copies_end).await;
+            rarely(|| self.timer.wait(copies_end)).await;
         }
         let mut acquired = session.acquire(window).await;
         if let Err(failure) = acquired {
