@@ -47,8 +47,9 @@ while read -r _ name; do
 done < <(grep -E "^($places)  " tests/places/left_out.txt)
 
 variable=CARGO_TARGET_$(tr a-z- A-Z_ <<<"$target")_LINKER
+# Optimized: in the emulator that takes a fifth of the time.
 messages=$(env "$variable=$gnu-gcc" cargo test --locked --no-run "${kinds[@]}" \
-    --target "$target" --message-format json)
+    --config profile.test.package.tokio-scip.opt-level=1 --target "$target" --message-format json)
 built() { grep -o '"executable":"[^"]*"' <<<"$messages" | cut -d'"' -f4 | grep -E "$1"; }
 
 # Tests start the program by its path, which the kernel cannot run: a script with its name
