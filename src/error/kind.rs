@@ -253,6 +253,11 @@ impl fmt::Display for Sentence<'_> {
                         ", and the baud rate of the serial server ({baud_rate} in its address): it must be the sensor's, which is 19200 after power-up"
                     )?;
                 }
+                if sensor.to_string().starts_with("tcp://") {
+                    f.write_str(
+                        ", and stop other programs that are connected to it: it may serve only one",
+                    )?;
+                }
                 match (bytes, words) {
                     (0, _) => Ok(()),
                     (_, Some(words)) => write!(f, "; found the text \"{words}\""),

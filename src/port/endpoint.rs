@@ -205,6 +205,9 @@ fn parse(text: &str) -> Parsed {
     if !text.contains(['/', '\\']) && text.rsplit_once(':').is_some_and(|(_, end)| is_number(end)) {
         return Err("expected tcp://HOST:PORT for a TCP address");
     }
+    if text.parse::<std::net::IpAddr>().is_ok() {
+        return Err("expected tcp://HOST for a sensor on Ethernet");
+    }
     Ok(Endpoint::Serial(text.to_owned()))
 }
 

@@ -69,6 +69,7 @@ fn an_invalid_port_is_refused_with_the_reason() {
         ("tcp://bridge:4001?baud=19200&x=1", "19200"),
         ("http://bridge:80", "tcp://HOST:PORT"),
         ("bridge:4001", "tcp://HOST:PORT"),
+        ("192.168.0.10", "tcp://HOST"),
         ("tcp:bridge:4001", "tcp://HOST:PORT"),
     ];
     for (text, expected) in table {

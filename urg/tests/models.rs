@@ -51,6 +51,12 @@ fn a_window_has_the_steps_of_the_model() {
     assert!(error.contains("this sensor measures steps 0..=1080"), "{error}");
     let error = run("scan emulated --window 0..1080", 1).stderr;
     assert!(error.contains("this sensor measures steps 44..=725"), "{error}");
+    // A stream would wait for another sensor.
+    let file = Scratch::mcap("window");
+    for command in [format!("stream {port}"), format!("record {port} {}", file.path())] {
+        let error = run(&format!("{command} --window 0..1081"), 1).stderr;
+        assert!(error.contains("this sensor measures steps 0..=1080"), "{error}");
+    }
 }
 
 #[test]
@@ -184,6 +190,18 @@ fn recorded_messages_of_ros_have_intensities() {
             let value = if range.is_finite() { (range * 1000.0).round() as u64 } else { 65_533 };
             assert_eq!(Some(f64::from(intensity)), reflected(&[value])[0].as_f64(), "{range}");
         }
+    }
+}
+
+#[test]
+fn a_replay_invents_no_intensities() {
+    let (_runtime, port) = ust();
+    for (option, has) in [("", false), ("--intensity", true)] {
+        let file = Scratch::mcap("replayed");
+        run(&format!("record {port} {} {option} --count 3", file.path()), 0);
+        let read = format!("stream {} --intensity --format ndjson --count 1", file.path());
+        let scan = scans(&run(&read, 0).stdout).remove(0);
+        assert_eq!(scan.get("intensities").is_some(), has, "{scan}");
     }
 }
 

@@ -93,7 +93,8 @@ impl PortName {
     pub(crate) fn line(&self) -> &'static str {
         match self {
             Self::Endpoint(Endpoint::Tcp { .. }) => "Ethernet",
-            _ => "USB",
+            Self::Recording(_) => "USB or Ethernet",
+            Self::Endpoint(_) | Self::Emulated(_) => "USB",
         }
     }
 

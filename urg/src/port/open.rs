@@ -83,7 +83,7 @@ pub(crate) fn line_baud_rate(sensor: &Sensor) -> Option<BaudRate> {
 pub(crate) fn ignored_baud_rate(baud_rate: BaudRate) -> String {
     format!(
         "replies come faster than {baud_rate} baud can carry: this port ignores the baud rate, \
-         as pseudo-terminals and USB do"
+         as pseudo-terminals, USB and Ethernet do"
     )
 }
 

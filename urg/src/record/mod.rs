@@ -26,7 +26,7 @@ use crate::output::stdout::is_closed;
 use crate::port::name::{PortArg, missing_port};
 use crate::port::open::{open, proven_baud_rate};
 use crate::recording::recorded::Recorded;
-use crate::stream::feed::{Feed, Update};
+use crate::stream::feed::{Feed, Update, check_window};
 use crate::stream::follow::follow;
 use crate::stream::reporter::Reporter;
 
@@ -129,6 +129,7 @@ impl Record {
         };
         let opening = async {
             let sensor = open(&port, &self.link, Delivery::All).await?;
+            check_window(&port, &sensor, window).await?;
             let begun = match file {
                 Some(file) => self.builder().record_into(file),
                 None => self.builder().write_to(io::stdout()),

@@ -172,6 +172,9 @@ impl Recorded {
                 .map_err(|error| self.failure(&error))?;
             return Ok(sensor);
         }
+        // A replay would invent them: the recorded model may have some.
+        let builder =
+            if has_intensities(self.open()?) { builder } else { builder.intensities(false) };
         let emulator = recording.replay(self.pace).map_err(|error| self.no_scans(&error))?;
         let (sensor, driver) = builder.build(emulator);
         tokio::spawn(run(driver, sensor.clone(), delivery, self.consumed.subscribe()));
@@ -305,4 +308,10 @@ async fn run(
             return;
         }
     }
+}
+
+/// Returns true if the first scan of a recording has intensities.
+fn has_intensities(recording: Recording) -> bool {
+    let first = recording.scans().find_map(Result::ok);
+    first.is_some_and(|scan| scan.intensities().is_some())
 }

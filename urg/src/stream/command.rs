@@ -4,7 +4,7 @@ use std::io::{self, IsTerminal};
 
 use clap::ValueEnum;
 
-use super::feed::{Feed, Update};
+use super::feed::{Feed, Update, check_window};
 use super::follow::follow;
 use super::jitter::RecentTimes;
 use super::rate_watch::schedule;
@@ -60,9 +60,10 @@ NDJSON has one object a line. An object with the field \"event\" is an event
   sequence         number of the scan; a gap means that scans were missed
   stamp            seconds since 1970, when the reply began to arrive
   first_ray        seconds since 1970, when the first point was measured
-  stamp_quality    what first_ray rests on: \"motor\" or the \"arrival\" alone
-  lateness         seconds from the end of the revolution to stamp; null unless
-                   stamp_quality is \"motor\"
+  stamp_quality    what first_ray rests on: the \"motor\", the \"sensor_clock\" of
+                   SCIP 2, or the \"arrival\" alone
+  lateness         seconds from the end of the revolution to stamp; null if
+                   stamp_quality is \"arrival\"
   start,end        the first and the last step
   cluster          number of steps of a point
   angle_min        direction of the first point in radians, counter-clockwise
@@ -72,7 +73,7 @@ NDJSON has one object a line. An object with the field \"event\" is an event
   repeat           true if all values equal those of the scan before
   reconnects       number of reconnects before this scan; it rises at the first
                    scan after each
-  values           as the sensor sent them: below 20 an error code, else mm
+  values           as the sensor sent them: mm, or an error code of the model
   ranges           metres; null where there is no distance
   intensities      with --intensity, if the sensor has them: strengths of the
                    reflections, in the sensor's own unit";
@@ -110,6 +111,7 @@ impl Stream {
         let window = self.window.window(port.default_window())?;
         let opening = async {
             let sensor = open(&port, &self.link, Delivery::All).await?;
+            check_window(&port, &sensor, window).await?;
             let feed = Feed::open(&port, &sensor, window, rate).await?;
             Ok((sensor, feed))
         };

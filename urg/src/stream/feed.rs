@@ -46,6 +46,16 @@ impl Update {
     }
 }
 
+/// Fails if the sensor does not measure the window. The stream would wait for another one that does.
+pub(crate) async fn check_window(
+    port: &PortName,
+    sensor: &Sensor,
+    window: Window,
+) -> Result<(), Failure> {
+    let geometry = sensor.geometry().await.map_err(|error| Failure::at(port, &error))?;
+    window.resolve(&geometry).map(drop).map_err(|error| Failure::at(port, &error))
+}
+
 /// Stream of updates. A clone continues at the same scan without additional polls.
 #[derive(Debug, Clone)]
 pub(crate) struct Feed {

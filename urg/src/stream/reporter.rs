@@ -60,7 +60,10 @@ impl Reporter {
             }
             Update::Event(Event::Missed { scans }) => {
                 self.missed += scans;
-                notice(format_args!("{scans} scans missed: the reader of the output is too slow"));
+                let noun = if *scans == 1 { "scan" } else { "scans" };
+                notice(format_args!(
+                    "{scans} {noun} missed: this host or the reader of the output is too slow"
+                ));
             }
             Update::Event(_) => {}
             Update::Error(error) => self.error(error),
