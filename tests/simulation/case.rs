@@ -161,6 +161,15 @@ impl Case {
         matches!(self.model, Model::Utm30lx | Model::Ust10lx)
     }
 
+    /// Upper bound of the bytes of a reply.
+    fn longest_reply(&self) -> u32 {
+        match self.protocol {
+            // Three characters a step, and a sum and a line feed after each 64.
+            Protocol::Scip2 => 64 + self.widest().steps() as u32 * 3 * 66 / 64,
+            _ => 1600,
+        }
+    }
+
     fn draw_faults(&mut self, random: &mut Random) {
         let long = Duration::from_secs(3);
         // Only one of these: two together can shift points between them undetectably, or cancel
@@ -226,7 +235,7 @@ impl Case {
             self.lingers = self.lingers.max(match kind {
                 3 | 4 => long,
                 10 => Duration::from_millis(1100),
-                11 => Duration::from_millis(3200),
+                11 => Duration::from_millis(2) * self.longest_reply(),
                 13 => self.boot,
                 _ => Duration::ZERO,
             });
