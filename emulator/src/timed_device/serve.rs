@@ -18,6 +18,9 @@ use crate::wire::byte_time;
 use crate::world::WorldTime;
 use tokio_scip::BaudRate;
 
+/// A sensor keeps scans of so much time that it cannot send yet, and leaves out further ones.
+const BACKLOG: Duration = Duration::from_millis(200);
+
 impl TimedDevice {
     pub(super) fn serve_command(&mut self, at: Instant) {
         let Some(line) = self.waiting.pop_front() else { return };
@@ -177,6 +180,10 @@ impl TimedDevice {
             self.record_scan(requested_at, time);
         }
         self.send_reply(at + self.timing.latency, bytes, faults, random);
+        let free = self.transmitter.free();
+        if free > self.next_stream + BACKLOG {
+            self.next_stream = free;
+        }
     }
 
     /// Puts a reply with its faults on the line, and returns the time of its first bit.
