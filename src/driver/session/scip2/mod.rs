@@ -258,14 +258,21 @@ impl Scip2<'_> {
     /// Switches the laser, and checks by a probe whether the sensor measures.
     pub(super) async fn set_laser(&mut self, on: bool) -> Result<(), ExchangeError> {
         let command = if on { Command::LaserOn } else { Command::LaserOff };
-        let status = self.ask_twice(command).await?.status;
+        let status = match self.ask_twice(command).await {
+            Ok(answer) => Some(text(answer.status)),
+            // The probe shows what the sensor did. It would end a stream, and switch the laser on.
+            Err(ExchangeError::Command(
+                ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
+            )) if !self.state.is_streaming() => None,
+            Err(error) => return Err(error),
+        };
         let request = Request::new(command, None);
         let probe = self.probe().await.map_err(on_behalf_of(request))?;
         if probe.is_ok() == on {
             return Ok(());
         }
         let refusal = on.then(|| text(probe));
-        Err(ExchangeError::Command(not_confirmed(&request, Some(text(status)), refusal)))
+        Err(ExchangeError::Command(not_confirmed(&request, status, refusal)))
     }
 
     /// Sends `SS`, and returns the status if the sensor obeys.
