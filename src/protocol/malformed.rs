@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use super::scip2::has_data;
 use super::{Status, Text, fault};
 
 /// Number of bytes of a frame to show in an error message.
@@ -134,6 +135,8 @@ pub(super) fn foreign(frame: &[u8]) -> ReplyError {
         Some((status, _)) if echo.first() == Some(&b'M') && is_scip2(status) => {
             ReplyError::Scip2 { status: status.into() }
         }
+        // The end of a scan, whose beginning was lost.
+        _ if has_data(frame) => ReplyError::Scip2 { status: "99b".into() },
         _ => ReplyError::Foreign { found: Text::excerpt(echo, EXCERPT) },
     }
 }

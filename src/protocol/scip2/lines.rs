@@ -11,6 +11,12 @@ pub(super) fn sum(bytes: &[u8]) -> u8 {
     (bytes.iter().fold(0u8, |sum, &byte| sum.wrapping_add(byte)) & 63) + FIRST_CHARACTER
 }
 
+/// Returns true if at least three lines are data of SCIP 2: 64 characters and their sum.
+pub(crate) fn has_data(bytes: &[u8]) -> bool {
+    let lines = bytes.split(|&byte| byte == b'\n').filter_map(<[u8]>::split_last);
+    lines.filter(|(found, data)| data.len() == 64 && **found == sum(data)).nth(2).is_some()
+}
+
 /// Checks the sum at the end of a line.
 fn check_sum(line: usize, expected: u8, found: u8) -> Result<(), MalformedError> {
     if expected == found {

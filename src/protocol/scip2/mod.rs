@@ -52,6 +52,7 @@ pub use command::{Command, Data, MotorSpeed, Request, Steps, Stream};
 pub use data::{Scan, Stamp};
 pub use identity::{Parameters, State};
 pub use label::{Label, Labels, ParameterError};
+pub(crate) use lines::has_data;
 pub use malformed::{MalformedError, ReplyError};
 pub use reply::{Content, Reply};
 pub use status::Status;

@@ -14,6 +14,7 @@ use super::exchange::expected;
 use crate::ErrorKind;
 use crate::RawReply;
 use crate::codec::FoundFrame;
+use crate::protocol::scip2::has_data;
 use crate::protocol::{Command, MalformedError, Protocol, Reply, ReplyError, Status};
 
 /// Number of unanswered fences after which a link counts as silent. Fewer if the sensor
@@ -157,6 +158,11 @@ fn explain_silence(transport: &Transport, command: &Command) -> Option<ExchangeE
     let pending = transport.pending();
     if pending.starts_with(b"\n") && pending == transport.sent() {
         return Some(LinkError::Lost(ErrorKind::Loopback).into());
+    }
+    // On a slow line a scan takes longer than a fence.
+    if has_data(pending) {
+        let error = ErrorKind::WrongProtocol { expected: Protocol::Scip1, status: "99b".into() };
+        return Some(ExchangeError::Command(error));
     }
     // A wrong baud rate can produce any bytes. So look for telnet only on a port without
     // a settable baud rate.
