@@ -117,6 +117,15 @@ pub trait PortHints {
         false
     }
 
+    /// Returns true while the device has not taken all bytes that were written. Default: `false`.
+    ///
+    /// The driver asks before it repeats a command that was not answered: a device that hangs would
+    /// first answer the older ones once it works again.
+    #[doc(hidden)]
+    fn holds_output(&mut self) -> bool {
+        false
+    }
+
     /// Drops bytes that were written and are not on the line yet, so that closing the port does not
     /// wait for them. The driver calls it once, before it drops the port. Does nothing by default.
     #[doc(hidden)]

@@ -197,6 +197,10 @@ impl PortHints for SerialPort {
         self.tty.as_mut().map(Tty::suspend_wakeups).is_some()
     }
 
+    fn holds_output(&mut self) -> bool {
+        self.tty.as_ref().is_some_and(|tty| tty.bytes_to_write().is_ok_and(|bytes| bytes > 0))
+    }
+
     fn discard_output(&mut self) {
         if let Some(tty) = &self.tty {
             // Fails only if the port is gone, and with it its output.

@@ -80,6 +80,10 @@ impl Tty {
         self.port.clear(buffer)
     }
 
+    pub(super) fn bytes_to_write(&self) -> tokio_serial::Result<u32> {
+        self.port.bytes_to_write()
+    }
+
     /// Removes the lock by `TIOCEXCL`, which a pseudo-terminal keeps if the program ends before
     /// the port is closed.
     pub(super) fn unlock(&mut self) {

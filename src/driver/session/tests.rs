@@ -11,7 +11,10 @@ const NANOSECOND: Duration = Duration::from_nanos(1);
 /// Creates a session at 19,200 baud that receives these bytes in one piece.
 fn session(input: &[u8]) -> Session {
     let (reads, baud_rate) = ([Ok(input.to_vec())].into(), Some(BaudRate::B19200));
-    let port = ScriptedPort { reads, baud_rate, ..ScriptedPort::default() };
+    session_on(ScriptedPort { reads, baud_rate, ..ScriptedPort::default() })
+}
+
+fn session_on(port: ScriptedPort) -> Session {
     let shared = Arc::new(Shared::new(None));
     Session::new(
         Box::new(port),
@@ -86,4 +89,15 @@ async fn a_copy_that_waits_in_the_port_answers_no_command() {
     session.scip1.line.transport = Transport::new(Box::new(copy), &LIMITS, false);
     assert!(!session.needs_probe());
     assert!(session.scip1.command(Command::LaserOff).await.is_err());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_device_that_takes_no_bytes_gets_one_fence() {
+    for (holds_output, sent) in [(true, 1), (false, 6)] {
+        let mut session = session_on(ScriptedPort { holds_output, ..ScriptedPort::default() });
+        let began = Instant::now();
+        assert!(session.scip1.fence().await.is_err());
+        assert_eq!(session.scip1.line.shared.counters.stats().fences, sent);
+        assert_eq!(began.elapsed().as_millis() / 100, 30, "it is given up as soon");
+    }
 }

@@ -25,6 +25,11 @@ impl Transport {
         self.port.hints().is_some_and(PortHints::delivers_intact)
     }
 
+    /// Returns true while the device has not taken all bytes of the commands so far.
+    pub(crate) fn holds_output(&mut self) -> bool {
+        !self.output.is_empty() && self.port.hints().is_some_and(PortHints::holds_output)
+    }
+
     pub(crate) fn baud_rate(&self) -> Option<BaudRate> {
         self.port.baud_rate()
     }

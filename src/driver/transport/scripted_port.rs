@@ -21,6 +21,8 @@ pub(crate) struct ScriptedPort {
     pub(crate) baud_rate: Option<BaudRate>,
     /// True if it can be read only without waiting.
     pub(crate) has_try_read: bool,
+    /// True if the device takes no bytes.
+    pub(crate) holds_output: bool,
     /// True if it takes part in tokio's budget: without budget, no read returns bytes.
     pub(crate) takes_budget: bool,
     /// Error of all further reads, with a count, in place of waiting.
@@ -57,6 +59,10 @@ impl Port for ScriptedPort {
 }
 
 impl PortHints for ScriptedPort {
+    fn holds_output(&mut self) -> bool {
+        self.holds_output
+    }
+
     fn try_read(&mut self, bytes: &mut [u8]) -> Option<io::Result<usize>> {
         let mut buffer = ReadBuf::new(bytes);
         self.has_try_read.then(|| self.next(&mut buffer).map(|()| buffer.filled().len()))

@@ -6,9 +6,11 @@
 
 use std::time::Duration;
 
+use tokio::time::{Instant, sleep};
+
 use super::super::super::failure::{ExchangeError, LinkError};
 use super::super::super::transport::Transport;
-use super::super::errors::{malformed, no_reply};
+use super::super::errors::{malformed, no_reply, timeout};
 use super::Scip1;
 use super::exchange::expected;
 use crate::ErrorKind;
@@ -21,6 +23,9 @@ use crate::protocol::{Command, MalformedError, Protocol, Reply, ReplyError, Stat
 /// may have restarted at another baud rate.
 const FENCES: usize = 6;
 const FENCES_AT_A_BAUD_RATE: usize = 3;
+
+/// Time between two looks at output that a device does not take.
+const OUTPUT_INTERVAL: Duration = Duration::from_millis(20);
 
 impl Scip1 {
     /// Sends fences until the latest one is answered, and returns the status of that
@@ -52,6 +57,11 @@ impl Scip1 {
     ) -> Result<Status, ExchangeError> {
         let command = Command::Distances(self.unique_requests.fence());
         self.line.is_settled = false;
+        if !self.is_output_taken(latency).await {
+            let error = timeout(&command, latency);
+            tracing::trace!(%error, "the device takes no bytes");
+            return Err(ExchangeError::Command(error));
+        }
         self.line.shared.counters.stats().fences += 1;
         let mut latest_malformed = None;
         let answer = self.answer_to_fence(&command, latency, &mut latest_malformed).await;
@@ -81,6 +91,19 @@ impl Scip1 {
             Err(_) => {}
         }
         answer
+    }
+
+    /// Waits until the device has taken the commands before. Returns false if it does not within
+    /// `latency`.
+    async fn is_output_taken(&mut self, latency: Duration) -> bool {
+        let end = Instant::now() + latency;
+        while self.line.transport.holds_output() {
+            if Instant::now() >= end {
+                return false;
+            }
+            sleep(OUTPUT_INTERVAL).await;
+        }
+        true
     }
 
     /// Sends a fence and waits for its answer, skipping the frames before it. Stores the
