@@ -57,15 +57,13 @@ impl Emulator {
         let id = plugged.links;
         let hung_up = plugged.reader.take();
         if plugged.plugged_in && !plugged.sensor.is_gone {
-            let before = plugged.host;
-            plugged.sensor.advance(Instant::now(), before);
+            plugged.set_host(baud_rate.bits_per_second());
             if plugged.sensor.device.body.model.is_on_ethernet() {
                 // What was sent on another connection is lost, both ways.
                 plugged.sensor.unplug(Instant::now());
                 plugged.sensor.line = LineBuffer::default();
             }
             plugged.sensor.is_hung_up = false;
-            plugged.host = baud_rate.bits_per_second();
             plugged.link = Some(id);
         }
         drop(plugged);

@@ -85,10 +85,7 @@ impl Link {
             HostBaudRate::Set(_) => {
                 let mut plugged = self.shared.lock();
                 if plugged.link == Some(self.id) {
-                    // The bytes so far arrived at the old baud rate.
-                    let before = plugged.host;
-                    plugged.sensor.advance(Instant::now(), before);
-                    plugged.host = Some(baud_rate.into());
+                    plugged.set_host(Some(baud_rate.into()));
                 }
                 drop(plugged);
                 self.baud_rate = HostBaudRate::Set(baud_rate);

@@ -30,6 +30,18 @@ pub(super) struct Plugged {
     pub(super) reader: Option<Waker>,
 }
 
+impl Plugged {
+    /// Sets the baud rate of the host's end. The bytes so far arrived at the one before.
+    pub(super) fn set_host(&mut self, host: Option<u32>) {
+        let now = Instant::now();
+        self.sensor.advance(now, self.host);
+        if host != self.host {
+            self.sensor.transmitter.retune(now);
+        }
+        self.host = host;
+    }
+}
+
 impl Shared {
     pub(super) fn new(sensor: TimedDevice) -> Self {
         let plugged =

@@ -79,9 +79,12 @@ struct Segment {
     taken: usize,
     /// Number of bytes that had arrived at the latest read.
     seen: usize,
-    /// Baud rate of the sensor. `None` once it was compared with the host's, which
-    /// happens when the first bit is on the line.
+    /// Baud rate of the sensor, `None` on USB.
     sent_at: Option<u32>,
+    /// True once it was compared with the host's, which happens when the first bit is on the line.
+    is_compared: bool,
+    /// What the sensor sent, if the host's baud rate makes other bytes of it.
+    garbled: Option<Vec<u8>>,
 }
 
 impl Segment {
@@ -139,6 +142,8 @@ impl Transmitter {
                 taken: 0,
                 seen: 0,
                 sent_at: baud_rate,
+                is_compared: false,
+                garbled: None,
             });
         }
     }
@@ -176,16 +181,53 @@ impl Transmitter {
             if segment.start > now {
                 break;
             }
-            if let (Some(sent_at), Some(host)) = (segment.sent_at.take(), host)
+            if let (false, Some(sent_at), Some(host)) = (segment.is_compared, segment.sent_at, host)
                 && sent_at != host
             {
                 let duration = segment.byte_time * segment.bytes.len() as u32;
                 self.unread -= segment.bytes.len();
-                segment.bytes = garble(&segment.bytes, sent_at, host);
+                let bytes = garble(&segment.bytes, sent_at, host);
+                segment.garbled = Some(std::mem::replace(&mut segment.bytes, bytes));
                 self.unread += segment.bytes.len();
                 segment.byte_time = duration / segment.bytes.len().max(1) as u32;
             }
+            segment.is_compared = true;
         }
+    }
+
+    /// Lets the host read at another baud rate from `now` on. Call `advance` first.
+    pub(super) fn retune(&mut self, now: Instant) {
+        let on_the_line = |segment: &Segment| {
+            let is_begun = segment.start < now && now < segment.arrival(segment.bytes.len());
+            is_begun && segment.sent_at.is_some()
+        };
+        let Some(place) = self.segments.iter().position(on_the_line) else { return };
+        let Some(segment) = self.segments.get_mut(place) else { return };
+        let duration = segment.byte_time * segment.bytes.len() as u32;
+        let arrived = segment.arrived(now).max(segment.taken);
+        let sent = match segment.garbled.take() {
+            Some(sent) => sent,
+            None => segment.bytes.clone(),
+        };
+        let byte_time = duration / sent.len().max(1) as u32;
+        // The byte that is on the line now is lost.
+        let elapsed = (now - segment.start).as_nanos();
+        let first = elapsed.checked_div(byte_time.as_nanos()).unwrap_or_default() as usize + 1;
+        segment.bytes.truncate(arrived);
+        let rest = sent.get(first..).unwrap_or_default().to_vec();
+        let rest = Segment {
+            start: segment.start + byte_time * first as u32,
+            byte_time,
+            taken: 0,
+            seen: 0,
+            sent_at: segment.sent_at,
+            is_compared: false,
+            garbled: None,
+            bytes: rest,
+        };
+        self.segments.insert(place + 1, rest);
+        self.segments.retain(|segment| segment.taken < segment.bytes.len());
+        self.unread = self.segments.iter().map(|s| s.bytes.len() - s.taken).sum();
     }
 
     /// Fills `buffer` with bytes that had arrived at the latest read, and returns true.
@@ -280,6 +322,24 @@ mod tests {
     fn a_slow_receiver_reads_one_byte_for_several() {
         // Of three NULs only the second one's stop bit is sampled, as bit 5.
         assert_eq!(garble(&[0, 0, 0], 57_600, 19_200), [0x20]);
+    }
+
+    #[test]
+    fn a_host_that_changes_its_baud_rate_reads_the_rest() {
+        let (start, sent) = (Instant::now(), b"0123456789".repeat(10));
+        let mut transmitter = Transmitter::new(start, 4096);
+        transmitter.send(start, sent.clone(), Some(19_200), None);
+        let middle = start + byte_time(Some(19_200)) * 50 + Duration::from_micros(1);
+        transmitter.advance(middle, Some(19_200), Some(57_600));
+        transmitter.retune(middle);
+        let end = transmitter.free();
+        transmitter.advance(end, Some(19_200), Some(19_200));
+        let mut bytes = [0; 4096];
+        let mut buffer = ReadBuf::new(&mut bytes);
+        transmitter.take(end, &mut buffer);
+        let read = buffer.filled();
+        assert!(read.ends_with(&sent[51..]) && !read.starts_with(&sent[..5]), "{read:?}");
+        assert_eq!(transmitter.unread, 0);
     }
 
     #[test]
