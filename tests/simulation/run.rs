@@ -265,10 +265,6 @@ async fn recover(run: &Run, sensor: &Sensor) -> Duration {
         emulator.plug_in();
         allowance += Duration::from_millis(1500);
     }
-    if case.events.other_program && case.speed.is_some() && case.protocol == Protocol::Scip2 {
-        // Its stream can fill a slow line, and then hides the answers of the sensor.
-        allowance += Duration::from_secs(20);
-    }
     let start = Instant::now();
     let laser_may_be_off = run.laser_may_be_off.load(Ordering::Relaxed);
     // The driver first sends what it remembers: a command and a fence, which take one or two
