@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use tokio::time::sleep;
 use tokio_scip::scan::StampQuality;
-use tokio_scip::{Rate, Scan, Window};
+use tokio_scip::{ErrorKind, Rate, Scan, Window};
 use urg_emulator::{Emulator, Fault, Faults, Model};
 
 use super::{next, numbered, revolution};
@@ -74,6 +74,22 @@ async fn t15_a_scan_after_a_cut_one_has_its_own_time() {
         let late = lateness(&emulator, &scan);
         // A scan takes 10 ms on USB.
         assert!((0.0..10.5).contains(&late), "{late} ms");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_scan_after_a_damaged_answer_has_its_own_time() {
+    let emulator = numbered(Model::Ust10lx).build();
+    let sensor = builder().depth(64).connect(emulator.clone()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+    next(&mut stream).await;
+    emulator.set_faults(Faults::none().on("QT", Fault::Status(b'z')));
+    let error = sensor.laser_off().await.unwrap_err();
+    assert!(matches!(error.kind(), ErrorKind::Malformed { .. }), "{error}");
+    for _ in 0..5 {
+        let scan = next(&mut stream).await;
+        let late = lateness(&emulator, &scan);
+        assert!((0.0..1.5).contains(&late), "{late} ms");
     }
 }
 

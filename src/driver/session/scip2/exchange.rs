@@ -62,7 +62,10 @@ impl Scip2<'_> {
             self.end_stream().await?;
         }
         let request = Request::new(command, self.state.labels.next_label());
-        self.ask_as(&request, latency, is_probe).await
+        let outcome = self.ask_as(&request, latency, is_probe).await;
+        // A stream that the command has not ended goes on.
+        self.expect_scan();
+        outcome
     }
 
     /// Sends `request` and returns its reply. A damaged reply fails: waiting for a better one would

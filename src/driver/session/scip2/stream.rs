@@ -177,8 +177,8 @@ impl Scip2<'_> {
         Poll::Ready(Ok(()))
     }
 
-    /// Expects the next scan of the stream within the time that a command has.
-    fn expect_scan(&mut self) {
+    /// Expects the next scan of the stream, if one runs, within the time that a command has.
+    pub(super) fn expect_scan(&mut self) {
         let Some(running) = &self.state.running else { return };
         let revolutions = u32::from(running.skipped) + 1;
         let latency = self.latency(running.request.command());
