@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-use mcap::records::Record;
+use mcap::records::{Metadata, Record};
 
 use super::foreign::letters;
 use crate::raw::MAGIC;
@@ -49,6 +49,22 @@ impl Message {
         let frames = if has_frames { letters(&self.data) } else { vec![String::new()] };
         let name = self.topic.split(' ').next().unwrap();
         frames.into_iter().map(|frame| (format!("{name} {has_frames}"), frame)).collect()
+    }
+
+    /// Returns true for the reply that tells what a sensor of SCIP 2 measures.
+    pub(super) fn tells_sensor(&self) -> bool {
+        self.label().is_some_and(|label| label.starts_with(b"PP"))
+    }
+
+    /// Returns true for a scan of SCIP 2 that only its sensor explains.
+    pub(super) fn needs_sensor(&self) -> bool {
+        self.is_scan() && self.label().is_some_and(|label| label.len() > 10)
+    }
+
+    /// Returns true if the other message differs in nothing but its type.
+    pub(super) fn is_but_for_type(&self, other: &Self) -> bool {
+        let content = |message: &Self| (message.log_time, message.publish_time, message.sequence);
+        content(self) == content(other) && self.data == other.data && self.is_on_topic_of(other)
     }
 
     /// Returns true if the time of a part counts from here.
@@ -143,6 +159,27 @@ pub(super) fn topics(file: &[u8]) -> BTreeSet<String> {
     topics.chain(summary.schemas.values().map(|known| schema(known))).collect()
 }
 
+/// Metadata of a complete file, in their order.
+pub(super) fn metadata(file: &[u8]) -> Vec<Metadata> {
+    let (mut rest, mut found) = (&file[MAGIC.len()..], Vec::new());
+    loop {
+        let (kind, content) = split(rest);
+        rest = &rest[9 + content.len()..];
+        match kind {
+            0x0c => found.extend(metadata_of(content)),
+            0x0f => return found,
+            _ => {}
+        }
+    }
+}
+
+fn metadata_of(content: &[u8]) -> Option<Metadata> {
+    match mcap::parse_record(0x0c, content).unwrap() {
+        Record::Metadata(metadata) => Some(metadata),
+        _ => None,
+    }
+}
+
 fn told(error: mcap::McapError) -> String {
     format!("the other reader: {error}")
 }
@@ -205,6 +242,8 @@ enum Content {
 /// Layout of a file with a complete end.
 pub(super) struct Layout {
     parts: Vec<Part>,
+    /// Metadata and their places.
+    metadata: Vec<(Range<usize>, Metadata)>,
     /// Where records begin and end, in order.
     pub(super) boundaries: Vec<usize>,
     /// Places that no checksum covers and whose damage may change a message.
@@ -221,6 +260,7 @@ impl Layout {
     pub(super) fn new(file: &[u8], messages: &[Message]) -> Self {
         let mut layout = Self {
             parts: Vec::new(),
+            metadata: Vec::new(),
             boundaries: vec![MAGIC.len()],
             unproved: Vec::new(),
             chunks: Vec::new(),
@@ -270,6 +310,7 @@ impl Layout {
                         layout.add(kind, content, places, &mut messages);
                     }
                 }
+                Record::Metadata(metadata) => layout.metadata.push((place, metadata)),
                 _ => {
                     // A message index with more fields looks like a message if its kind is damaged.
                     let is_grown_index =
@@ -306,6 +347,12 @@ impl Layout {
     /// Returns true if damage there may change messages without a trace.
     pub(super) fn is_unproved(&self, is_hit: impl Fn(&Range<usize>) -> bool) -> bool {
         self.unproved.iter().any(is_hit)
+    }
+
+    /// Metadata that must survive.
+    pub(super) fn metadata(&self, is_hit: impl Fn(&Range<usize>) -> bool) -> Vec<Metadata> {
+        let left = self.metadata.iter().filter(|(place, _)| !is_hit(place));
+        left.map(|(_, metadata)| metadata.clone()).collect()
     }
 
     /// Returns true for one or two records between two damaged ones, where no checksum proves them:
