@@ -139,8 +139,8 @@ impl EmulatorBuilder {
         self
     }
 
-    /// Sets the reply to `PP`, and so the steps that can be asked for in SCIP 2. Default: those of
-    /// the model.
+    /// Sets the reply to `PP`. Its first and last step limit the requests of SCIP 2. Default: that
+    /// of the model.
     pub fn parameters(mut self, parameters: Parameters) -> Self {
         self.body.parameters = Some(parameters);
         self

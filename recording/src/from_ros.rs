@@ -136,8 +136,8 @@ fn ends(window: &Window) -> [[f64; 2]; 2] {
     [[middle, last], [first, f64::from(window.end())]]
 }
 
-/// Differences of the directions of a message from those of a stream, in steps. Returns `None` if
-/// they are others.
+/// Returns by how many steps the directions of a message differ from those of a stream, or `None` if
+/// they are different directions.
 fn error(message: &LaserScan, Stream { model, window, .. }: &Stream) -> Option<f64> {
     let geometry = model.geometry();
     let [first, last] = [message.angle_min, message.angle_max].map(|angle| step(angle, &geometry));
@@ -186,8 +186,8 @@ fn whole(number: f64) -> Option<u16> {
     ((f64::from(whole) - number).abs() <= 0.5).then_some(whole)
 }
 
-/// Value that a sensor sends for a range. A code that was written as so many millimetres, as `urg_node`
-/// does, is that code again.
+/// Returns the value that a sensor sends for a range. `urg_node` writes an error code as a range of as
+/// many millimetres: it becomes that code.
 fn value(range: f32, geometry: &Geometry) -> u32 {
     let millimetres = (f64::from(range) * 1000.0).round();
     match millimetres {

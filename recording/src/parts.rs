@@ -97,8 +97,8 @@ impl Parts {
         self.path.is_some() && error.kind() == io::ErrorKind::FileTooLarge
     }
 
-    /// Limits later files to less than `length`, at which one could not grow, so that their index
-    /// fits as well.
+    /// Limits later files after one could not grow beyond `length`. They stay smaller, so that their
+    /// index fits, too.
     pub(super) fn stay_below(&mut self, length: u64) {
         self.has_outgrown = true;
         let limit = length - length / 16;

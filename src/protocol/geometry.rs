@@ -91,7 +91,7 @@ impl Geometry {
         }
     }
 
-    /// Value of a step of which nothing is known: its range is `NaN`.
+    /// Value of a step that was not measured: its range is `NaN`.
     pub const fn unknown_value(&self) -> u32 {
         match self.codes {
             None | Some(Codes::Urg) => 19,

@@ -21,7 +21,7 @@ fn value(request: u64, step: usize) -> u32 {
     30 + (((mixed >> 16) * 4000) >> 16)
 }
 
-/// Returns true if all values of a scan are those of this request.
+/// Returns true if a scan has the values of this request.
 fn is_of(scan: &Timed, request: u64) -> bool {
     let Timed { window, values, .. } = scan;
     let (start, end) = (usize::from(window.start()), usize::from(window.end()));

@@ -18,7 +18,7 @@ use crate::wire::byte_time;
 use crate::world::WorldTime;
 use tokio_scip::BaudRate;
 
-/// A sensor keeps scans of so much time that it cannot send yet, and leaves out further ones.
+/// While the line is busy, a sensor keeps the scans of this time, and drops those that follow.
 const BACKLOG: Duration = Duration::from_millis(200);
 
 impl TimedDevice {
