@@ -5,25 +5,20 @@
 # simulation. NAMES are passed to the tests. left_out.txt lists what is left out, and why.
 #
 # Needs on Debian: qemu-user, gcc-arm-linux-gnueabihf and libc6-dev-armhf-cross, or
-# gcc-aarch64-linux-gnu and libc6-dev-arm64-cross. Where CI is set
-# they are installed if they can be. Without them it prints `skipped: NAME` and succeeds. Before
-# QEMU 11 there are no pseudo-terminals; QEMU=FOLDER selects another one than PATH does.
+# gcc-aarch64-linux-gnu and libc6-dev-arm64-cross. Without them it prints `skipped: NAME` and
+# succeeds. Before QEMU 11 there are no pseudo-terminals; QEMU=FOLDER selects another one than
+# PATH does.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
 case ${1-} in
-armv7) target=armv7-unknown-linux-gnueabihf gnu=arm-linux-gnueabihf debian=armhf qemu=qemu-arm ;;
-aarch64) target=aarch64-unknown-linux-gnu gnu=aarch64-linux-gnu debian=arm64 qemu=qemu-aarch64 ;;
+armv7) target=armv7-unknown-linux-gnueabihf gnu=arm-linux-gnueabihf qemu=qemu-arm ;;
+aarch64) target=aarch64-unknown-linux-gnu gnu=aarch64-linux-gnu qemu=qemu-aarch64 ;;
 *) echo "usage: $0 armv7|aarch64 [core | NAMES…]" >&2 && exit 2 ;;
 esac
 shift
 PATH=${QEMU:+$QEMU:}$PATH
 
-tools() { command -v "$qemu" && command -v "$gnu-gcc" && [ -e "/usr/$gnu/lib/crti.o" ]; }
-if ! tools && [ -n "${CI-}" ] && [ "$(id -u)" = 0 ] && command -v apt-get; then
-    { apt-get update && apt-get install -y --no-install-recommends qemu-user "gcc-$gnu" \
-        "libc6-dev-$debian-cross"; } || true
-fi
 for tool in "$qemu" "$gnu-gcc"; do
     command -v "$tool" || { echo "skipped: $tool" && exit 0; }
 done
