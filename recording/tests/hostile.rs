@@ -182,9 +182,52 @@ fn a_damaged_message_does_not_hide_the_next_ones() {
     }
 }
 
+/// Adds the fields of a later version at the end of a record.
+fn more(record: &[u8], fields: &[u8]) -> Vec<u8> {
+    of_kind(record[0], &[&record[9..], fields].concat())
+}
+
+#[test]
+fn a_length_in_a_later_chunk_is_no_record() {
+    let later = of_kind(0x7f, b"later");
+    // A record without bytes to count looks like the length of a chunk, or of its records, before zeros.
+    for (kind, length) in [(0x01, 8), (0x07, 6), (0x0c, 8), (0x0f, 4)] {
+        for fields_and_head in [0, 46] {
+            let records = [channel(), event(0)].concat();
+            let bytes = usize::from(u16::from_le_bytes([kind, length])) - fields_and_head;
+            let rest = of_kind(0x10, &vec![1; bytes - records.len() - 9]);
+            let chunk = more(&chunk_of(&[records, rest].concat()), b"123456");
+            let file = [MAGIC, &chunk, &later, &chunk, &end()].concat();
+            assert_eq!(read(&file), (vec![], 2, false), "kind {kind}, {fields_and_head}");
+        }
+    }
+}
+
+#[test]
+fn the_last_byte_of_a_later_record_begins_no_chunk() {
+    let chunk = more(&chunk_of(&[channel(), event(0)].concat()), b"123456");
+    let index = of_kind(0x07, &[&[0; 2][..], &claims(16), &[0; 16]].concat());
+    for fields in [&b"\x06"[..], b"1234567890\x06"] {
+        let header = more(&of_kind(0x01, &[0; 8]), fields);
+        let (index, last) = (more(&index, fields), of_kind(0xaa, b""));
+        let file = [MAGIC, &header, &chunk, &index, &chunk, &index, &last, &end()].concat();
+        assert_eq!(read(&file), (vec![], 2, false), "{fields:?}");
+    }
+}
+
+#[test]
+fn a_wrong_length_that_ends_at_a_record_hides_none() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    let mut long = more(&chunk, b"1");
+    let length = 2 * chunk.len() as u64 + 1 - 9;
+    long[1..9].copy_from_slice(&length.to_le_bytes());
+    let file = [MAGIC, &long, &chunk, &chunk, &end()].concat();
+    assert_eq!(read(&file), (vec![8], 2, false));
+}
+
 #[test]
 fn fields_and_kinds_of_later_versions_are_skipped() {
-    let more = |record: Vec<u8>| of_kind(record[0], &[&record[9..], b"123456"].concat());
+    let more = |record: Vec<u8>| more(&record, b"123456");
     let header = of_kind(0x01, &[0; 8]);
     let records = [more(channel()), of_kind(0x10, b"later"), event(0)].concat();
     let chunk = [more(chunk_of(&records)), of_kind(0x7f, b"later")].concat();

@@ -29,9 +29,18 @@ pub(super) struct Extent {
     /// End of the fields that this version of the format has.
     pub(super) fields: u64,
     pub(super) end: u64,
+    /// True if its fields count any bytes. Zeros look like a record that counts none.
+    counts: bool,
+    /// True for a chunk whose lengths agree: it begins here, even with more fields after its records.
+    pub(super) is_chunk: bool,
 }
 
 impl Extent {
+    /// Returns the extent of a record that reaches beyond the end of the file.
+    pub(super) fn endless(kind: u8) -> Self {
+        Self { kind, fields: u64::MAX, end: u64::MAX, counts: false, is_chunk: false }
+    }
+
     /// Returns true if the lengths in the record prove its end.
     pub(super) fn is_proved(&self) -> bool {
         has_lengths(self.kind) && self.fields == self.end && self.end < u64::MAX
@@ -100,7 +109,7 @@ pub(super) fn measure(bytes: &[u8], after: After) -> Result<Extent, Unmeasured> 
         return Err(Unmeasured::Wrong);
     }
     let end = RECORD_HEAD as u64 + length;
-    let mut fields = (RECORD_HEAD + numbers) as u64;
+    let (mut fields, mut counts) = ((RECORD_HEAD + numbers) as u64, false);
     let lengths = std::iter::repeat_n((4, 0), texts).chain(after_data.map(|after| (8, after)));
     for (width, after) in lengths {
         // A length has to be near the beginning: only what it counts may be long.
@@ -110,6 +119,7 @@ pub(super) fn measure(bytes: &[u8], after: After) -> Result<Extent, Unmeasured> 
         let (at, mut number) = (fields as usize, [0; 8]);
         let bytes = bytes.get(at..at + width).ok_or(Unmeasured::Needs(at + width))?;
         number.iter_mut().zip(bytes).for_each(|(to, from)| *to = *from);
+        counts |= number != [0; 8];
         let after = fields.checked_add(width as u64 + after);
         let after = after.and_then(|after| after.checked_add(u64::from_le_bytes(number)));
         fields = after.ok_or(Unmeasured::Wrong)?;
@@ -120,6 +130,7 @@ pub(super) fn measure(bytes: &[u8], after: After) -> Result<Extent, Unmeasured> 
         return Err(Unmeasured::Needs(needed));
     }
     let chunk = chunk_head(bytes);
+    let has_name = chunk.as_ref().is_some_and(|chunk| !chunk.compression.contains('\\'));
     let is_wrong = match kind {
         kind::CHUNK => chunk.is_none(),
         kind::MESSAGE_INDEX => (fields - RECORD_HEAD as u64) % 16 != 6,
@@ -135,7 +146,8 @@ pub(super) fn measure(bytes: &[u8], after: After) -> Result<Extent, Unmeasured> 
     if fields > end || is_wrong || is_other {
         return Err(Unmeasured::Wrong);
     }
-    Ok(Extent { kind, fields: if has_lengths(kind) { fields } else { end }, end })
+    let fields = if has_lengths(kind) { fields } else { end };
+    Ok(Extent { kind, fields, end, counts, is_chunk: is_chunk && counts && has_name })
 }
 
 /// Returns true for a kind whose fields prove its length.
@@ -182,10 +194,9 @@ pub(super) fn outside_chunks(kind: u8) -> bool {
     has_lengths(kind) && !matches!(kind, kind::HEADER | kind::SCHEMA | kind::CHANNEL)
 }
 
-/// Returns true if the numbers in a record show that it begins there. The head of a chunk does with
-/// more fields after its records, too.
+/// Returns true if the numbers in a record show that it begins there.
 fn shows(extent: &Extent) -> bool {
-    extent.kind == kind::CHUNK || extent.is_proved() && !is_text(extent.kind)
+    extent.is_chunk || extent.is_proved() && extent.counts && !is_text(extent.kind)
 }
 
 /// Kinds of records that consist of texts.
@@ -230,8 +241,13 @@ fn begins_before(
         Err(Unmeasured::Needs(count)) if after == After::More => Err(at + count),
         Err(Unmeasured::Needs(_)) => Ok(after != After::Nothing && followers < FOLLOWERS),
         Ok(extent) if !kinds(extent.kind) => Ok(false),
+        // One byte before a chunk, its lengths agree, too.
+        Ok(extent) if extent.is_chunk && !extent.is_proved() => {
+            is_shown(bytes, after, at as u64 + 1, |kind| kind == kind::CHUNK)
+                .map(|is_next| !is_next)
+        }
         Ok(extent) if shows(&extent) => Ok(true),
-        Ok(extent) if extent.is_proved() && extent.end <= MAX_CHECKED_BYTES => {
+        Ok(extent) if extent.is_proved() && extent.counts && extent.end <= MAX_CHECKED_BYTES => {
             let end = at + extent.end as usize;
             match bytes.get(at + RECORD_HEAD..end) {
                 Some(content) => Ok(is_well_formed(extent.kind, content)),
@@ -250,7 +266,8 @@ fn begins_before(
                 After::EndOfFile if next >= bytes.len() as u64 => return Ok(false),
                 _ => After::Nothing,
             };
-            begins_before(bytes, after, next, |_| true, followers - 1)
+            let followers = if extent.is_proved() { 0 } else { followers - 1 };
+            begins_before(bytes, after, next, |_| true, followers)
         }
     }
 }
@@ -265,7 +282,13 @@ pub(super) fn next_start<E>(
     if extent.is_proved() {
         return Ok(extent.end);
     }
-    for at in [1, extent.fields, extent.end].into_iter().chain(2..extent.end.min(known)) {
+    // A chunk whose lengths agree has no stray byte before it. More fields may be records, if they
+    // are long enough: then the length is wrong.
+    let stray = (!extent.is_chunk).then_some(1);
+    let more = extent.end - extent.fields;
+    let more = if more < RECORD_HEAD as u64 { extent.end } else { extent.fields };
+    let ends = (more..extent.end.min(known)).chain([extent.end]);
+    for at in stray.into_iter().chain(ends).chain(1..extent.end.min(known)) {
         // Only a whole record may end where the file does.
         if (at < known || at == extent.end) && begins(at)? {
             return Ok(at);

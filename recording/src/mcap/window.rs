@@ -111,7 +111,7 @@ impl Window {
                 }
                 Err(Unmeasured::Needs(_)) => {
                     let kind = bytes.first().copied().unwrap_or_default();
-                    return Ok(Some(Extent { kind, fields: u64::MAX, end: u64::MAX }));
+                    return Ok(Some(Extent::endless(kind)));
                 }
             }
         }

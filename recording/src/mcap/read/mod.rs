@@ -163,8 +163,8 @@ impl Sections {
         let Some(extent) = self.window.measure()? else {
             return self.resynchronise(WRONG_HEAD);
         };
-        if extent.kind == kind::MESSAGE {
-            self.has_chunks.get_or_insert(false);
+        if extent.kind == kind::MESSAGE || extent.is_chunk {
+            self.has_chunks.get_or_insert(extent.is_chunk);
         }
         let next = self.next_start(&extent)?;
         if next < extent.end {
@@ -233,7 +233,7 @@ impl Sections {
             let is_chunked = self.has_chunks == Some(true);
             let kinds = match at {
                 _ if at == extent.end => {
-                    if is_chunked {
+                    if is_chunked && !extent.is_chunk {
                         outside_chunks
                     } else {
                         |_| true
