@@ -29,7 +29,7 @@ use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::sync::{Notify, watch};
 use tokio::time::{Instant, sleep_until};
-use tokio_scip::{ErrorChain, Rate, Scan, ScanStream, Sensor, SensorBuilder};
+use tokio_scip::{ErrorChain, Geometry, Rate, Scan, ScanStream, Sensor, SensorBuilder};
 
 use self::zone::Zone;
 
@@ -79,9 +79,10 @@ pub(crate) const RESTART: Duration = Duration::from_secs(1);
 const SIDE: i32 = 30;
 
 /// With the default of 500 ms for a reply, each lost reply would stop the vehicle. The
-/// sensor answers at the end of a revolution, so after at most 100 ms.
+/// With the default of 500 ms, each lost reply would stop the vehicle. A sensor answers at the end of a
+/// revolution, and may need another one to switch its laser on.
 pub(crate) fn settings() -> SensorBuilder {
-    Sensor::builder().reply_latency(Duration::from_millis(130))
+    Sensor::builder().reply_latency(Duration::from_millis(230))
 }
 
 /// Output to the drive.
@@ -100,12 +101,12 @@ pub(crate) struct Fields {
 }
 
 impl Fields {
-    pub(crate) fn new() -> Result<Self, String> {
+    pub(crate) fn new(geometry: Geometry) -> Result<Self, String> {
         let field = |metres: f64| {
             let arc = (-SIDE..=SIDE).map(|degrees| f64::from(degrees).to_radians());
             let arc = arc.map(|angle| (metres * angle.cos(), metres * angle.sin()));
             let outline: Vec<_> = std::iter::once((0.0, 0.0)).chain(arc).collect();
-            Zone::new(&outline, WIDTH)
+            Zone::new(geometry, &outline, WIDTH)
         };
         let reach = TERMS.distance();
         Ok(Self { protective: field(reach)?, warning: field(2.0 * reach)? })
@@ -227,7 +228,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
             }
         });
     }
-    let fields = Fields::new()?;
+    let fields = Fields::new(sensor.geometry().await?)?;
     let scans = fields.scans(&sensor).await?;
     println!("stops within {:?} of an obstacle in {:.2} m", TERMS.response(), TERMS.distance());
     let (output, mut motion) = watch::channel(Motion::Stop);

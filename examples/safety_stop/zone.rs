@@ -6,8 +6,6 @@ use tokio_scip::{Geometry, Measurement, Scan, Window};
 
 /// Tolerance in metres, because scans round distances to `f32`.
 const TOLERANCE: f64 = 1e-6;
-/// Sensor before which the zone lies.
-const SENSOR: Geometry = Geometry::URG_04LX;
 
 /// Area inside an outline, and all that lies between it and the sensor.
 ///
@@ -24,6 +22,7 @@ const SENSOR: Geometry = Geometry::URG_04LX;
 ///
 /// The sensor's error of some centimetres is not part of the rule: draw the outline larger by it.
 pub(crate) struct Zone {
+    geometry: Geometry,
     window: Window,
     /// How far the zone reaches at each step, in metres: 0 where the step does not cross it.
     far: Vec<f64>,
@@ -32,25 +31,30 @@ pub(crate) struct Zone {
 }
 
 impl Zone {
-    /// Creates the zone inside an outline of vertices, in metres ahead of and to the left of the
-    /// sensor. `smallest_obstacle` is a width in metres, as seen from the sensor.
+    /// Creates the zone of a sensor inside an outline of vertices, in metres ahead of and to the left
+    /// of the sensor. `smallest_obstacle` is a width in metres, as seen from the sensor.
     ///
     /// Returns an error if no scan can show the zone clear, or if the smallest obstacle fits between
     /// two rays.
-    pub(crate) fn new(outline: &[(f64, f64)], smallest_obstacle: f64) -> Result<Self, String> {
+    pub(crate) fn new(
+        geometry: Geometry,
+        outline: &[(f64, f64)],
+        smallest_obstacle: f64,
+    ) -> Result<Self, String> {
         if let Some(vertex) = outline.iter().find(|(x, y)| !(x.is_finite() && y.is_finite())) {
             return Err(format!("expected finite vertices, found {vertex:?}"));
         }
         let metres = |millimetres: &u32| f64::from(*millimetres) / 1000.0;
         let (nearest, farthest) =
-            (metres(SENSOR.distances().start()), metres(SENSOR.distances().end()));
-        let angle_of_step = TAU / f64::from(SENSOR.steps_per_revolution());
-        let ends = [Window::FULL.start(), Window::FULL.end()].map(|step| SENSOR.degrees(step));
-        let mut far = vec![0.0; Window::FULL.points()];
+            (metres(geometry.distances().start()), metres(geometry.distances().end()));
+        let half = i32::from(geometry.steps_per_revolution() / 2);
+        let angle_of_step = TAU / f64::from(geometry.steps_per_revolution());
+        let steps = geometry.answered_steps();
+        let front = (f64::from(-geometry.degrees(0)).to_radians() / angle_of_step).round() as i32;
+        let mut far = vec![0.0; usize::from(*steps.end()) + 1];
         // All directions from the rear on, also those that no step has.
-        let first_step = ((f64::from(ends[0]) + 180.0).to_radians() / angle_of_step).round();
-        for turned in 0..SENSOR.steps_per_revolution() {
-            let degrees = (f64::from(turned) * angle_of_step).to_degrees() - 180.0;
+        for turned in -half..half {
+            let degrees = (f64::from(turned) * angle_of_step).to_degrees();
             let end = self::far(outline, degrees.to_radians());
             let Some(end) = end.filter(|end| *end > nearest) else {
                 continue;
@@ -59,11 +63,12 @@ impl Zone {
                 let reach = format!("{end:.3} m at {degrees:.1}°");
                 return Err(format!("the zone reaches {reach}, beyond {farthest} m"));
             }
-            let step = usize::from(turned).checked_sub(first_step as usize);
-            match step.and_then(|step| far.get_mut(step)) {
+            let step = u16::try_from(front + turned).ok().filter(|step| steps.contains(step));
+            match step.and_then(|step| far.get_mut(usize::from(step))) {
                 Some(far) => *far = end,
                 None => {
-                    let [first, last] = ends;
+                    let [first, last] =
+                        [steps.start(), steps.end()].map(|step| geometry.degrees(*step));
                     return Err(format!(
                         "the zone reaches {degrees:.1}°, beyond {first} to {last}°"
                     ));
@@ -78,12 +83,12 @@ impl Zone {
         };
         let reach = outline.iter().map(|(x, y)| x.hypot(*y)).fold(0.0, f64::max);
         let obstacle_steps = 2.0 * (smallest_obstacle / 2.0).atan2(reach) / angle_of_step;
-        if !(1.0..f64::from(SENSOR.steps_per_revolution() / 2)).contains(&obstacle_steps) {
+        if !(1.0..f64::from(half)).contains(&obstacle_steps) {
             let least = 2.0 * reach * (angle_of_step / 2.0).tan();
             return Err(format!("expected an obstacle of {least:.3} m or more"));
         }
         let window = Window::new(first as u16..=last as u16).map_err(|error| error.to_string())?;
-        Ok(Self { window, far, obstacle_steps: obstacle_steps as usize })
+        Ok(Self { geometry, window, far, obstacle_steps: obstacle_steps as usize })
     }
 
     /// Smallest window whose scans have all rays that cross the zone.
@@ -93,6 +98,9 @@ impl Zone {
 
     /// Checks that a scan shows the zone clear, or returns a reason why not.
     pub(crate) fn check(&self, scan: &Scan) -> Result<(), String> {
+        if *scan.geometry() != self.geometry {
+            return Err("the scan is of another model".to_owned());
+        }
         let [needed, window] = [self.window, scan.window()];
         if window.start() > needed.start() || window.end() < needed.end() {
             return Err(format!("the zone needs {needed}, the scan has {window}"));

@@ -10,7 +10,7 @@ use tokio::time::{Instant, sleep, timeout};
 use tokio_scip::scan::Pose;
 use tokio_scip::{Rate, Sensor, State, Window};
 use urg_emulator::{
-    Emulator, Fault, Faults, Fixed, Room, Scene, Sparse, Values, Walk, World, WorldTime,
+    Emulator, Fault, Faults, Fixed, Model, Room, Scene, Sparse, Values, Walk, World, WorldTime,
 };
 
 use crate::common::{limit::limit, ms, random::seeds};
@@ -53,7 +53,7 @@ async fn guarded(
     sensor: &Sensor,
     interlock: Option<Arc<Notify>>,
 ) -> (JoinHandle<()>, watch::Receiver<Motion>) {
-    let fields = Fields::new().unwrap();
+    let fields = Fields::new(sensor.geometry().await.unwrap()).unwrap();
     let scans = fields.scans(sensor).await.unwrap();
     let (output, motion) = watch::channel(Motion::Stop);
     (tokio::spawn(safety_stop::guard(fields, scans, output, interlock)), motion)
@@ -174,14 +174,18 @@ fn the_protective_field_follows_from_its_terms() {
 }
 
 /// Returns a room with an obstacle in the revolutions for which `is_there` returns true.
-fn sensor_with(distance: f64, is_there: impl Fn(u64) -> bool + Send + 'static) -> Emulator {
+fn sensor_with(
+    model: Model,
+    distance: f64,
+    is_there: impl Fn(u64) -> bool + Send + 'static,
+) -> Emulator {
     limit();
     let (mut blocked, mut clear) = (obstacle(distance), Fixed::filled(3000));
     let world = move |time: WorldTime, values: &mut Values| match is_there(time.revolution) {
         true => blocked.measure(time, values),
         false => clear.measure(time, values),
     };
-    Emulator::builder().world(world).usb().build()
+    Emulator::builder().model(model).world(world).usb().build()
 }
 
 async fn waits_for(motion: &mut watch::Receiver<Motion>, wanted: Motion) {
@@ -193,7 +197,7 @@ async fn waits_for(motion: &mut watch::Receiver<Motion>, wanted: Motion) {
 async fn two_of_three_scans_stop_the_vehicle() {
     for (pattern, stops) in [([3, 6, 9], false), ([3, 5, 9], true), ([3, 4, 9], true)] {
         let is_there = move |revolution| revolution > 50 && pattern.contains(&(revolution % 10));
-        let emulator = sensor_with(0.5, is_there);
+        let emulator = sensor_with(Model::default(), 0.5, is_there);
         let sensor = safety_stop::settings().connect(emulator).await.unwrap();
         let (_guard, mut motion) = guarded(&sensor, None).await;
         waits_for(&mut motion, Motion::Drive).await;
@@ -204,20 +208,23 @@ async fn two_of_three_scans_stop_the_vehicle() {
 
 #[tokio::test(start_paused = true)]
 async fn an_obstacle_in_the_warning_field_slows_the_vehicle() {
-    let emulator = sensor_with(1.5 * TERMS.distance(), |revolution| revolution > 30);
-    let sensor = safety_stop::settings().connect(emulator).await.unwrap();
-    let (_guard, mut motion) = guarded(&sensor, None).await;
-    waits_for(&mut motion, Motion::Drive).await;
-    waits_for(&mut motion, Motion::Slow).await;
-    sleep(ms(5000)).await;
-    assert_eq!(*motion.borrow(), Motion::Slow);
+    for model in [Model::Urg04lx, Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx] {
+        let distance = 1.5 * TERMS.distance();
+        let emulator = sensor_with(model, distance, |revolution| revolution > 150);
+        let sensor = safety_stop::settings().connect(emulator).await.unwrap();
+        let (_guard, mut motion) = guarded(&sensor, None).await;
+        waits_for(&mut motion, Motion::Drive).await;
+        waits_for(&mut motion, Motion::Slow).await;
+        sleep(ms(5000)).await;
+        assert_eq!(*motion.borrow(), Motion::Slow, "{model:?}");
+    }
 }
 
 #[tokio::test(start_paused = true)]
 async fn the_vehicle_restarts_after_a_delay_and_a_reset() {
     let is_blocked = Arc::new(AtomicBool::new(false));
     let seen = Arc::clone(&is_blocked);
-    let emulator = sensor_with(0.5, move |_| seen.load(Ordering::Relaxed));
+    let emulator = sensor_with(Model::default(), 0.5, move |_| seen.load(Ordering::Relaxed));
     let sensor = safety_stop::settings().connect(emulator).await.unwrap();
     let reset = Arc::new(Notify::new());
     let (_first, mut automatic) = guarded(&sensor, None).await;

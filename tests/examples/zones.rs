@@ -7,17 +7,56 @@
 use std::f64::consts::TAU;
 use std::ops::RangeInclusive;
 
-use tokio_scip::{Scan, Window};
+use tokio_scip::{Geometry, Measurement, Scan, Window};
 
 use super::programs::safety_stop::zone::Zone;
 use crate::common::random::{Random, seeds};
+use crate::protocol::geometry::{ug01, utm};
 
 type Spot = (f64, f64);
 
-/// Codes for weak light, which say nothing about a zone.
-const WEAK: [u32; 4] = [1, 5, 7, 19];
-/// Codes, and a distance, for nothing within the range.
-const BEYOND: [u32; 4] = [0, 6, 16, 4095];
+/// Sensor of a world.
+struct Kind {
+    geometry: Geometry,
+    front: u16,
+    /// Codes for weak light, which say nothing about a zone.
+    weak: [u32; 4],
+    /// Codes, and a distance, for nothing within the range.
+    beyond: [u32; 4],
+}
+
+impl Kind {
+    fn draw(random: &mut Random) -> Self {
+        let (geometry, front, weak, beyond) = match random.below(4) {
+            0 => (utm(), 540, [2, 3, 4, 5], [1, 1, 1, 60_001]),
+            1 => (ug01(), 384, [1, 2, 7, 19], [0, 0, 0, 5601]),
+            _ => (Geometry::URG_04LX, 384, [1, 5, 7, 19], [0, 6, 16, 4095]),
+        };
+        Self { geometry, front, weak, beyond }
+    }
+
+    fn step_angle(&self) -> f64 {
+        TAU / f64::from(self.geometry.steps_per_revolution())
+    }
+
+    fn angle(&self, step: u16) -> f64 {
+        (f64::from(step) - f64::from(self.front)) * self.step_angle()
+    }
+
+    /// Returns what the sensor sends for a step: the nearest wall there, or a code.
+    fn value(&self, walls: &[Wall], step: u16, random: &mut Random) -> u32 {
+        let angle = self.angle(step);
+        let hits = walls.iter().filter_map(|wall| Some((wall.distance(angle)?, wall.is_weak)));
+        let (nearest, farthest) = self.geometry.distances().into_inner();
+        match hits.min_by(|a, b| a.0.total_cmp(&b.0)) {
+            Some((_, true)) => *random.pick(&self.weak),
+            Some((range, false)) if range * 1000.0 <= f64::from(farthest) => {
+                ((range * 1000.0).round() as u32).max(nearest)
+            }
+            _ => *random.pick(&self.beyond),
+        }
+    }
+}
 
 fn between(random: &mut Random, range: RangeInclusive<f64>) -> f64 {
     let share = random.below(1 << 40) as f64 / (1_u64 << 40) as f64;
@@ -104,21 +143,6 @@ impl Wall {
     }
 }
 
-fn angle(step: u16) -> f64 {
-    (f64::from(step) - 384.0) * TAU / 1024.0
-}
-
-/// Returns what the sensor sends for a step: the nearest wall there, or a code.
-fn value(walls: &[Wall], step: u16, random: &mut Random) -> u32 {
-    let angle = angle(step);
-    let hits = walls.iter().filter_map(|wall| Some((wall.distance(angle)?, wall.is_weak)));
-    match hits.min_by(|a, b| a.0.total_cmp(&b.0)) {
-        Some((_, true)) => *random.pick(&WEAK),
-        Some((range, false)) if range <= 4.094 => ((range * 1000.0).round() as u32).max(20),
-        _ => *random.pick(&BEYOND),
-    }
-}
-
 /// One world: what the zone says, and what is true.
 struct ZoneCase {
     checked: Result<(), String>,
@@ -129,12 +153,13 @@ struct ZoneCase {
 
 fn case(seed: u64) -> Option<ZoneCase> {
     let random = &mut Random::new(seed);
+    let kind = Kind::draw(random);
     let outline = outline(random);
     let reach = reach(&outline);
-    let least = reach * TAU / 1024.0;
+    let least = reach * kind.step_angle();
     let more = if random.once_in(2) { 0.3 } else { 0.2 * least };
     let width = between(random, least * 1.01..=least * 1.01 + more);
-    let zone = Zone::new(&outline, width).ok()?;
+    let zone = Zone::new(kind.geometry, &outline, width).ok()?;
     let cluster = if !random.once_in(3) { 1 } else { 1 + random.below(99) as u8 };
 
     // Walls anywhere, dropouts, and mostly an obstacle of the promised size or larger.
@@ -146,7 +171,7 @@ fn case(seed: u64) -> Option<ZoneCase> {
     let mut has_obstacle = false;
     if !random.once_in(3) {
         let is_weak = random.once_in(4);
-        let edges = [zone.window().start(), zone.window().end()].map(angle);
+        let edges = [zone.window().start(), zone.window().end()].map(|step| kind.angle(step));
         let wall = (0..20).find_map(|_| {
             let range = between(random, 0.03..=4.0);
             let width = width * between(random, 1.0..=1.5);
@@ -165,22 +190,24 @@ fn case(seed: u64) -> Option<ZoneCase> {
         walls.extend(wall);
     }
     let dropouts = random.below(6).saturating_sub(2) * 20;
-    let mut raw: Vec<u32> = (0..=768).map(|step| value(&walls, step, random)).collect();
+    let (start, end) = kind.geometry.answered_steps().into_inner();
+    let mut raw: Vec<u32> = (0..=end).map(|step| kind.value(&walls, step, random)).collect();
     for _ in 0..dropouts {
-        let step = random.below(769) as usize;
-        raw[step] = *random.pick(&WEAK);
+        let step = random.below(u64::from(end) + 1) as usize;
+        raw[step] = *random.pick(&kind.weak);
     }
 
     // The zone's own window, or a wider one, or any.
     let (first, last) = (zone.window().start(), zone.window().end());
     let steps = match random.below(4) {
         0 => {
-            let (a, b) = (random.below(769) as u16, random.below(769) as u16);
+            let mut step = || start + random.below(u64::from(end - start) + 1) as u16;
+            let (a, b) = (step(), step());
             a.min(b)..=a.max(b)
         }
         1 => {
-            random.below(u64::from(first) + 1) as u16
-                ..=768 - random.below(769 - u64::from(last)) as u16
+            start + random.below(u64::from(first - start) + 1) as u16
+                ..=end - random.below(u64::from(end - last) + 1) as u16
         }
         _ => first..=last,
     };
@@ -190,12 +217,14 @@ fn case(seed: u64) -> Option<ZoneCase> {
     let values: Vec<u32> = clusters.map(|values| *values.iter().min().unwrap()).collect();
 
     let covers = window.start() <= first && last <= window.end();
-    let has_code = raw.iter().any(|value| *value < 20);
+    let is_code = |value: &u32| matches!(kind.geometry.measurement(*value), Measurement::Error(_));
+    let has_code = raw.iter().any(is_code);
     let no_code_counts = cluster == 1 && dropouts == 0;
     let is_open = covers
         && walls.iter().all(|wall| !wall.is_weak && is_beyond(wall, reach))
         && (no_code_counts || !has_code);
-    let checked = zone.check(&Scan::builder(window, values).build().unwrap());
+    let checked =
+        zone.check(&Scan::builder(window, values).geometry(kind.geometry).build().unwrap());
     Some(ZoneCase { checked, has_obstacle, is_open })
 }
 
@@ -228,7 +257,9 @@ fn a_clear_zone_has_no_obstacle() {
 /// Returns what a zone of 0.6 m ahead, 0.3 m to each side, finds: all rays measure 2 m, but `rays` of
 /// them `value`, in clusters of `cluster` steps.
 fn check(rays: RangeInclusive<usize>, value: u32, cluster: u8) -> Result<(), String> {
-    let zone = Zone::new(&[(0.0, -0.3), (0.6, -0.3), (0.6, 0.3), (0.0, 0.3)], 0.1).unwrap();
+    let zone =
+        Zone::new(Geometry::URG_04LX, &[(0.0, -0.3), (0.6, -0.3), (0.6, 0.3), (0.0, 0.3)], 0.1)
+            .unwrap();
     // Steps 128..=640, 180 degrees ahead.
     let window = zone.window().with_cluster_count(cluster).unwrap();
     let mut values = vec![2000; window.points()];
@@ -262,7 +293,9 @@ fn gaps_count_if_the_obstacle_fits() {
 
 #[test]
 fn zones_that_are_never_clear_are_refused() {
-    let refused = |outline: &[Spot], obstacle| Zone::new(outline, obstacle).err().unwrap();
+    let refused = |outline: &[Spot], obstacle| {
+        Zone::new(Geometry::URG_04LX, outline, obstacle).err().unwrap()
+    };
     let square = [(0.1, -0.3), (0.6, -0.3), (0.6, 0.3), (0.1, 0.3)];
     for obstacle in [f64::NAN, f64::INFINITY, -1.0, 0.0, 0.004] {
         assert_eq!(refused(&square, obstacle), "expected an obstacle of 0.004 m or more");
@@ -283,9 +316,18 @@ fn zones_that_are_never_clear_are_refused() {
 
 #[test]
 fn a_scan_must_cover_the_zone() {
-    let zone = Zone::new(&[(0.0, 0.0), (1.0, -0.5), (1.0, 0.5)], 0.1).unwrap();
+    let zone = Zone::new(Geometry::URG_04LX, &[(0.0, 0.0), (1.0, -0.5), (1.0, 0.5)], 0.1).unwrap();
     let window = Window::degrees(0.0..=90.0).unwrap();
     let scan = Scan::builder(window, vec![2000; window.points()]).build().unwrap();
     let expected = "the zone needs steps 309..=459, the scan has steps 384..=640";
     assert_eq!(zone.check(&scan), Err(expected.into()));
+}
+
+#[test]
+fn a_scan_of_another_model_does_not_count() {
+    let zone = Zone::new(utm(), &[(0.0, 0.0), (1.0, -0.5), (1.0, 0.5)], 0.1).unwrap();
+    let window = zone.window();
+    let scan = Scan::builder(window, vec![2000; window.points()]);
+    assert_eq!(zone.check(&scan.clone().geometry(utm()).build().unwrap()), Ok(()));
+    assert_eq!(zone.check(&scan.build().unwrap()), Err("the scan is of another model".to_owned()));
 }

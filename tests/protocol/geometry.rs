@@ -30,11 +30,11 @@ fn urg() -> Geometry {
     geometry(model, [20, 5600, 1024, 44, 725, 384, 600])
 }
 
-fn ug01() -> Geometry {
+pub(crate) fn ug01() -> Geometry {
     geometry("URG-04LX-UG01(Simple-URG)", [20, 5600, 1024, 44, 725, 384, 600])
 }
 
-fn utm() -> Geometry {
+pub(crate) fn utm() -> Geometry {
     let model = "UTM-30LX(Hokuyo Automatic Co.,Ltd.)";
     geometry(model, [23, 60_000, 1440, 0, 1080, 540, 2400])
 }

@@ -7,7 +7,7 @@ mod codec;
 mod damage;
 mod encoder;
 mod fence;
-mod geometry;
+pub(crate) mod geometry;
 mod replies;
 mod scip2;
 mod sums;
