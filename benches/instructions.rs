@@ -25,6 +25,7 @@ mod stats {
     pub(crate) struct MotorStats {
         pub(crate) revolution: std::time::Duration,
         pub(crate) jumps: u64,
+        pub(crate) clock_drift_ppm: Option<i32>,
     }
 }
 

@@ -126,7 +126,11 @@ impl MotorClock {
 
     /// What is known about the motor, while the line is used.
     pub(crate) fn stats(&self) -> Option<MotorStats> {
-        self.is_used().then(|| MotorStats { revolution: duration(self.period), jumps: self.jumps })
+        self.is_used().then(|| MotorStats {
+            revolution: duration(self.period),
+            jumps: self.jumps,
+            clock_drift_ppm: None,
+        })
     }
 
     fn is_used(&self) -> bool {

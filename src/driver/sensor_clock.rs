@@ -188,7 +188,13 @@ impl SensorClock {
     /// What is known about the motor, while the lines are used.
     pub(crate) fn stats(&self) -> Option<MotorStats> {
         let lines = self.lines.filter(Lines::is_used)?;
-        Some(MotorStats { revolution: duration(lines.motor.slope), jumps: self.jumps })
+        // Arrivals by the sensor's clock: the slope is the inverse of the clock's rate.
+        let drift = (1.0 / lines.arrivals.slope - 1.0) * 1e6;
+        Some(MotorStats {
+            revolution: duration(lines.motor.slope),
+            jumps: self.jumps,
+            clock_drift_ppm: Some(drift.round() as i32),
+        })
     }
 
     fn start(&mut self, clock: f64, arrived: f64) -> Revolution {

@@ -5,7 +5,7 @@ use std::time::Duration;
 /// Motor of the sensor, measured from the arrivals of replies on its own USB port: see
 /// [`guide::time`](crate::guide::time).
 ///
-/// As data (feature `serde`) it has `revolution` in seconds, and `jumps`.
+/// As data (feature `serde`) it has `revolution` in seconds, `jumps` and `clock_drift_ppm`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct MotorStats {
@@ -13,15 +13,19 @@ pub struct MotorStats {
     pub revolution: Duration,
     /// Number of times that the phase of the motor jumped since the link was found.
     pub jumps: u64,
+    /// How much faster the sensor's clock runs than this computer's, in parts per million. `None` in
+    /// SCIP 1.1, which does not send it.
+    pub clock_drift_ppm: Option<i32>,
 }
 
 #[cfg(feature = "serde")]
 impl serde::Serialize for MotorStats {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         use serde::ser::SerializeStruct;
-        let mut motor = serializer.serialize_struct("MotorStats", 2)?;
+        let mut motor = serializer.serialize_struct("MotorStats", 3)?;
         motor.serialize_field("revolution", &self.revolution.as_secs_f64())?;
         motor.serialize_field("jumps", &self.jumps)?;
+        motor.serialize_field("clock_drift_ppm", &self.clock_drift_ppm)?;
         motor.end()
     }
 }

@@ -57,6 +57,8 @@ async fn stamps_rest_on_the_sensors_clock() {
             let nominal = scan.geometry().revolution().as_secs_f64();
             let motor = sensor.stats().motor.unwrap();
             assert!((motor.revolution.as_secs_f64() / nominal - 1.0).abs() < 2e-4, "{motor:?}");
+            let drift = f64::from(motor.clock_drift_ppm.unwrap());
+            assert!((drift - faster * 1e6).abs() < 50.0, "{motor:?}");
         }
     }
 }

@@ -95,18 +95,24 @@ impl Measured {
         counter(&self.after).saturating_sub(counter(&self.before))
     }
 
-    /// Number of polls without a scan.
+    /// Number of scans that did not arrive. In a stream the sensor's clock tells of more than failed.
     fn lost(&self) -> u64 {
+        self.failed().max(self.count(|stats| stats.lost))
+    }
+
+    /// Number of polls that ended without a scan.
+    fn failed(&self) -> u64 {
         self.count(|stats| stats.polls).saturating_sub(self.count(|stats| stats.scans))
     }
 
     fn polls(&self) -> Finding {
-        let polls = self.count(|stats| stats.polls);
-        let lost = self.lost();
+        let (scans, lost) = (self.count(|stats| stats.scans), self.lost());
+        let polls = scans + lost;
         let reasons = listed(&[
             (self.count(|stats| stats.timeouts), "unanswered in time"),
             (self.count(|stats| stats.malformed.total()), "malformed"),
             (self.count(|stats| stats.refused), "refused"),
+            (lost - self.failed(), "lost on the way"),
             (self.count(|stats| stats.disconnects), "times the link was lost"),
         ]);
         let verdict = if polls == 0
@@ -120,7 +126,7 @@ impl Measured {
         } else {
             Verdict::Ok
         };
-        let mut text = format!("{} of {polls} answered with a whole scan", polls - lost);
+        let mut text = format!("{scans} of {polls} answered with a whole scan");
         if !reasons.is_empty() {
             // Writing to a `String` is infallible.
             let _ = write!(text, ": {reasons}; check cable, plugs and power");
@@ -177,13 +183,23 @@ impl Measured {
     fn motor(&self) -> Finding {
         let lateness: Vec<_> = self.scans.iter().filter_map(|seen| seen.lateness).collect();
         let Some(motor) = self.after.motor.filter(|_| !lateness.is_empty()) else {
-            return Finding::ok("motor", "not known: only the sensor's own USB port shows it");
+            let why = match self.geometry.protocol() {
+                Protocol::Scip1 => "only the sensor's own USB port shows it",
+                Protocol::Scip2 => "test for longer",
+            };
+            return Finding::ok("motor", format!("not known: {why}"));
         };
         let speed = 60.0 / motor.revolution.as_secs_f64();
         let milliseconds = |time: Duration| time.as_secs_f64() * 1000.0;
         let mean = milliseconds(lateness.iter().sum::<Duration>()) / lateness.len() as f64;
         let most = milliseconds(lateness.iter().max().copied().unwrap_or_default());
-        let text = format!("{speed:.2} rpm; scans arrive {mean:.1} ms late, {most:.1} ms at most");
+        let mut text =
+            format!("{speed:.2} rpm; scans arrive {mean:.1} ms late, {most:.1} ms at most");
+        if let Some(ppm) = motor.clock_drift_ppm {
+            let pace = if ppm < 0 { "slow" } else { "fast" };
+            let percent = f64::from(ppm.unsigned_abs()) / 1e4;
+            let _ = write!(text, "; the sensor's clock is {percent:.3} % {pace}");
+        }
         if motor.jumps > 0 {
             let jumps = motor.jumps;
             Finding::weak("motor", format!("{text}; it jumped {jumps} times: check the power"))

@@ -150,6 +150,14 @@ mod tests {
             let (bad, text) = test(Emulator::builder().model(model), damaged, 10).await;
             assert!(bad.contains(&("polls", Verdict::Failed)), "{model:?} {text}");
             assert!(text.contains("malformed"), "{model:?} {text}");
+            let fast = Emulator::builder().model(model).clock(Duration::ZERO, 0.0012);
+            let lossy = Faults::none().at(60, Fault::Lost).at(70, Fault::Lost);
+            let (bad, text) = test(fast, lossy, 20).await;
+            assert!(bad.contains(&("polls", Verdict::Weak)), "{model:?} {text}");
+            assert!(text.contains(": 2 lost on the way"), "{model:?} {text}");
+            let drift = text.split("the sensor's clock is ").nth(1).unwrap();
+            let drift: f64 = drift.split(' ').next().unwrap().parse().unwrap();
+            assert!(drift > 0.11 && drift < 0.13 && text.contains(" % fast"), "{model:?} {text}");
         }
     }
 
