@@ -114,7 +114,7 @@ async fn single_scans_leave_no_stream_behind() {
 /// Returns a sensor that answers its stream's command with `replies`, each 10 ms after the one before
 /// and without the echo, and what it is asked.
 fn sensor_with_a_stream_of(
-    replies: fn(usize) -> Option<&'static str>,
+    replies: impl Fn(usize) -> Option<&'static str> + Send + 'static,
 ) -> (DuplexStream, mpsc::UnboundedReceiver<String>) {
     let (near, far) = duplex(4096);
     let (log, asked) = mpsc::unbounded_channel();
@@ -178,6 +178,28 @@ async fn nothing_goes_beside_a_stream_whose_answer_was_damaged() {
     while !asked.recv().await.unwrap().starts_with("MD") {}
     let next = asked.recv().await.unwrap();
     assert!(next.starts_with("QT"), "{next}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_copy_after_the_next_scan_is_no_scan() {
+    crate::common::limit::limit();
+    let [first, second, third] = ["99b\n00000\n0E0U", "99b\n000II\n0E1V", "99b\n000bb\n0E2W"];
+    // The damaged one is no scan either: its clock is not known.
+    for at_first in [first, "99b\n00000\n0E0V"] {
+        let replies = ["00P", at_first, second, first, third];
+        let (port, _asked) = sensor_with_a_stream_of(move |sent| replies.get(sent).copied());
+        let sensor = builder().attach(port).await.unwrap();
+        let front = Window::new(384..=384).unwrap();
+        let mut stream = sensor.scans(front, Rate::UNLIMITED).await.unwrap();
+        let mut values = Vec::new();
+        while values.last() != Some(&1346) {
+            if let Ok(scan) = stream.next().await.unwrap() {
+                values.extend(scan.raw_values());
+            }
+        }
+        let expected = if at_first == first { &[1344, 1345, 1346][..] } else { &[1345, 1346] };
+        assert_eq!(values, expected);
+    }
 }
 
 #[tokio::test(start_paused = true)]

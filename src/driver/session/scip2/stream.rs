@@ -252,7 +252,7 @@ impl State {
         true
     }
 
-    /// Lets a scan wait, unless it is the latest one once more.
+    /// Lets a scan wait, unless it is a copy of the latest one, or comes after a newer one.
     fn add_scan(&mut self, running: Running, scan: Scan, times: ReplyTimes, shared: &Shared) {
         let latest = self.latest.replace((scan.stamp(), times.received));
         if let Some((stamp, received)) = latest {
@@ -260,8 +260,14 @@ impl State {
             let is_soon = times.began.duration_since(received) < revolution / 2;
             // One copy may come late. More than one are scans of a clock that stands still.
             let was_copied = std::mem::replace(&mut self.was_copied, stamp == scan.stamp());
-            if stamp == scan.stamp() && (is_soon || !was_copied) {
-                tracing::trace!("the line has delivered a scan twice");
+            let is_copy = match stamp == scan.stamp() {
+                true => is_soon || !was_copied,
+                // At its own time, it is the first scan after a jump of the clock.
+                false => is_soon && between(scan.stamp(), stamp) < LONGEST_GAP,
+            };
+            if is_copy {
+                self.latest = Some((stamp, times.received));
+                tracing::trace!("the line has delivered a scan twice, or an old one");
                 return;
             }
             let period = revolution * (u32::from(running.skipped) + 1);
@@ -298,15 +304,20 @@ fn is_pause(status: Status) -> bool {
 
 /// Number of scans of a stream between two others, by the sensor's clock.
 fn lost(latest: Stamp, now: Stamp, period: Duration) -> u64 {
-    let since = match (latest, now) {
-        (Stamp::Milliseconds(latest), Stamp::Milliseconds(now)) => {
-            Duration::from_millis((now.wrapping_sub(latest) % CLOCK).into())
-        }
-        (latest, now) => now.since_zero().saturating_sub(latest.since_zero()),
-    };
+    let since = between(latest, now);
     let periods = (since + period / 2).as_nanos() / period.as_nanos().max(1);
     // After a jump of the clock there may be any number.
     if since < LONGEST_GAP { (periods as u64).saturating_sub(1) } else { 0 }
+}
+
+/// Time from one stamp to a later one. [`WRAP`] or less if it is not later.
+fn between(one: Stamp, later: Stamp) -> Duration {
+    match (one, later) {
+        (Stamp::Milliseconds(one), Stamp::Milliseconds(later)) => {
+            Duration::from_millis((later.wrapping_sub(one) % CLOCK).into())
+        }
+        (one, later) => later.since_zero().checked_sub(one.since_zero()).unwrap_or(WRAP),
+    }
 }
 
 impl Streamed {
