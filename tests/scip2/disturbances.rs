@@ -54,6 +54,21 @@ async fn a_stream_switches_no_laser_on_that_is_to_be_off() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_busy_sensor_does_not_confirm_that_its_laser_is_off() {
+    let emulator = numbered(Model::Ust10lx).build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+    next(&mut stream).await;
+    let ignoring = Faults::none().once("QT", Fault::Ignored);
+    emulator.set_faults(ignoring.clone().once("GD", Fault::Status(b'M')));
+    let error = sensor.laser_off().await.unwrap_err();
+    assert!(matches!(error.kind(), ErrorKind::NotConfirmed { .. }), "{error}");
+    emulator.set_faults(ignoring.on("GD", Fault::Status(b'M')));
+    let error = sensor.laser_off().await.unwrap_err();
+    assert!(error.to_string().contains("the sensor is not stable yet"), "{error}");
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_stream_is_not_probed() {
     let emulator = numbered(Model::Urg04lxUg01).build();
     let probing = builder().idle_probe(Some(Duration::from_millis(100)));

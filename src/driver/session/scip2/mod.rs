@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-use self::exchange::{Answer, accepted, text};
+use self::exchange::{Answer, accepted, refusal, text};
 use self::stream::{Running, Waiting};
 use super::super::failure::{ExchangeError, LinkError};
 use super::super::motor_clock::Revolution;
@@ -109,6 +109,11 @@ fn acquired(scan: Scan, times: ReplyTimes) -> Acquired {
     let values =
         if has_intensities { Values::WithIntensities(values) } else { Values::Long(values) };
     Acquired { values, first: 0, told: told.map(Box::new), times }
+}
+
+/// Returns true if a refusal to measure says that the laser is off (p. 13).
+fn is_laser_off(status: Status) -> bool {
+    status.characters() == *b"10"
 }
 
 /// Creates a request to change the baud rate, without a label.
@@ -267,12 +272,17 @@ impl Scip2<'_> {
             Err(error) => return Err(error),
         };
         let request = Request::new(command, None);
-        let probe = self.probe().await.map_err(on_behalf_of(request))?;
-        if probe.is_ok() == on {
-            return Ok(());
+        let mut probe = self.probe().await.map_err(on_behalf_of(request))?;
+        // Any other refusal tells nothing of the laser, and may pass.
+        if !probe.is_ok() && !is_laser_off(probe) && !self.line.is_closing() {
+            probe = self.probe().await.map_err(on_behalf_of(request))?;
         }
-        let refusal = on.then(|| text(probe));
-        Err(ExchangeError::Command(not_confirmed(&request, status, refusal)))
+        Err(ExchangeError::Command(match probe.is_ok() {
+            true if on => return Ok(()),
+            false if !on && is_laser_off(probe) => return Ok(()),
+            false if !on => refusal(&self.one_step(), probe),
+            _ => not_confirmed(&request, status, on.then(|| text(probe))),
+        }))
     }
 
     /// Sends `SS`, and returns the status if the sensor obeys.
