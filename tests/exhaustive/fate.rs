@@ -27,6 +27,12 @@ pub(crate) enum Fate {
     DoubledAfterNext,
     /// The command does not reach the sensor.
     CommandLost,
+    /// A bit before the end is flipped.
+    Flipped,
+    /// The sensor refuses a command, or sends no scan while it checks itself.
+    Refused,
+    /// The sensor answers, and does not obey.
+    Ignored,
 }
 
 /// Every fate, the good one first.
@@ -46,6 +52,15 @@ pub(crate) const FATES: &[Fate] = &[
     Fate::DoubledAfterNext,
 ];
 
+/// Every fate in SCIP 2.
+pub(crate) const SCIP2_FATES: &[Fate] = &{
+    let mut fates = [Fate::Flipped; FATES.len() + 3];
+    fates.split_at_mut(FATES.len()).0.copy_from_slice(FATES);
+    fates[FATES.len()] = Fate::Refused;
+    fates[FATES.len() + 1] = Fate::Ignored;
+    fates
+};
+
 impl Fate {
     /// Returns it in words, for a drawing.
     pub(crate) fn name(self) -> &'static str {
@@ -63,6 +78,9 @@ impl Fate {
             Self::DoubledSoon => "reply doubled, the copy a moment later",
             Self::DoubledAfterNext => "reply doubled, the copy after the next command",
             Self::CommandLost => "command lost",
+            Self::Flipped => "a bit of the reply flipped",
+            Self::Refused => "refused",
+            Self::Ignored => "command answered and ignored",
         }
     }
 }

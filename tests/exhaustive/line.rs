@@ -17,6 +17,7 @@ use tokio_scip::{BaudRate, Error};
 
 use super::chooser::Chooser;
 use super::fate::Fate;
+use super::scip2::reply;
 use super::sensor::ModelSensor;
 use crate::common::test_port::{FarEnd, TestPort};
 use crate::common::wire_time;
@@ -51,11 +52,26 @@ pub(crate) struct Depth {
     pub(crate) faults: usize,
 }
 
+/// What is cut.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Cut {
+    /// The cable is pulled and put back; what was on it is lost.
+    Cable,
+    /// The port is hung up, and the system keeps what comes for the next link.
+    Port,
+    /// The sensor restarts, and the port does not see it.
+    Power,
+    /// The sensor restarts, and the port is gone for a moment, as on USB.
+    PowerAndCable,
+}
+
 /// Sensor, the line to it, and the choices.
 pub(crate) struct LineState {
     pub(crate) chooser: Chooser,
     pub(crate) sensor: ModelSensor,
     fates: &'static [Fate],
+    /// True once a fate was another than on time.
+    pub(crate) is_faulty: bool,
     /// Rest of the depth; 0 before the choices begin.
     left: Depth,
     queue: VecDeque<Packet>,
@@ -67,8 +83,12 @@ pub(crate) struct LineState {
     link: u64,
     /// Number of places so far: each command and each packet is one.
     places: watch::Sender<usize>,
-    /// Place at which the link is hung up, and true if packets are still delivered.
-    hang_up: Option<(usize, bool)>,
+    /// Copy of a stream's scan that comes after the next one.
+    held: Option<Packet>,
+    /// Place at which the link or the power is cut.
+    cut: Option<(usize, Cut)>,
+    /// True if what is on the line is lost before the port is opened again.
+    is_unplugged: bool,
     reader: Option<Waker>,
     started_at: Instant,
     /// A drawing of the sequence, if requested.
@@ -82,21 +102,24 @@ pub(crate) struct ModelLine(Arc<Mutex<LineState>>);
 impl ModelLine {
     pub(crate) fn new(
         chooser: Chooser,
-        baud_rate: Option<BaudRate>,
+        sensor: ModelSensor,
         fates: &'static [Fate],
         draws: bool,
     ) -> Self {
         Self(Arc::new(Mutex::new(LineState {
             chooser,
-            sensor: ModelSensor::new(baud_rate),
+            sensor,
             fates,
+            is_faulty: false,
             left: Depth { exchanges: 0, faults: 0 },
             queue: VecDeque::new(),
             input: Vec::new(),
             commands: 0,
             link: 0,
             places: watch::Sender::new(0),
-            hang_up: None,
+            held: None,
+            cut: None,
+            is_unplugged: false,
             reader: None,
             started_at: Instant::now(),
             drawing: draws.then(String::new),
@@ -108,16 +131,16 @@ impl ModelLine {
     }
 
     /// Begins to choose.
-    pub(crate) fn begin(&self, depth: Depth, hang_up: Option<(usize, bool)>) {
+    pub(crate) fn begin(&self, depth: Depth, cut: Option<(usize, Cut)>) {
         let mut state = self.lock();
         state.places.send_replace(0);
-        (state.left, state.hang_up) = (depth, hang_up);
+        (state.left, state.cut) = (depth, cut);
     }
 
-    /// Returns true once all choices were made and the link was hung up if it was to be.
+    /// Returns true once all choices were made, and what was to be cut was.
     pub(crate) fn is_done(&self) -> bool {
         let state = self.lock();
-        state.left.exchanges == 0 && state.hang_up.is_none()
+        state.left.exchanges == 0 && state.cut.is_none()
     }
 
     /// Waits for a place.
@@ -148,7 +171,8 @@ impl LineState {
         }
     }
 
-    fn choose_fate(&mut self) -> Fate {
+    /// Chooses the fate of a command and its reply, or of a scan that comes unasked.
+    fn choose_fate(&mut self, command: Option<&[u8]>) -> Fate {
         if self.left.exchanges == 0 {
             return Fate::OnTime;
         }
@@ -156,32 +180,46 @@ impl LineState {
         if self.left.faults == 0 {
             return Fate::OnTime;
         }
-        let choice = self.chooser.choose(self.fates.len());
+        let can_apply = |fate: &Fate| match fate {
+            Fate::Ignored => command.is_some_and(|line| self.sensor.can_disobey(line)),
+            Fate::Refused => command.is_none_or(|line| self.sensor.can_refuse(line)),
+            Fate::CommandLost => command.is_some(),
+            _ => true,
+        };
+        let fates: Vec<Fate> = self.fates.iter().copied().filter(can_apply).collect();
+        let choice = self.chooser.choose(fates.len());
         self.left.faults -= usize::from(choice > 0);
-        self.fates[choice]
+        self.is_faulty |= choice > 0;
+        fates[choice]
     }
 
-    /// Counts a place, and hangs the link up if this is the one.
+    /// Counts a place, and cuts what is to be cut there.
     fn pass_place(&mut self) {
         let mut place = 0;
         self.places.send_modify(|now| {
             *now += 1;
             place = *now;
         });
-        let Some((at, keeps)) = self.hang_up else { return };
-        if place >= at {
-            self.hang_up = None;
+        let Some((_, cut)) = self.cut.filter(|(at, _)| place >= *at) else { return };
+        self.cut = None;
+        self.draw(&format!("cut: {cut:?}"));
+        if cut != Cut::Power {
             self.link += 1;
             self.input.clear();
-            if !keeps {
-                self.queue.clear();
-            }
-            self.draw(if keeps { "the link is hung up" } else { "the cable is pulled" });
+        }
+        self.is_unplugged = matches!(cut, Cut::Cable | Cut::PowerAndCable);
+        if self.is_unplugged {
+            self.queue.clear();
+            self.held = None;
+        }
+        if matches!(cut, Cut::Power | Cut::PowerAndCable) {
+            self.sensor.restart();
         }
     }
 
     /// Receives a command line, and sends its reply on its way.
     fn receive(&mut self, line: &[u8], host: Option<BaudRate>) {
+        self.send_scans();
         self.sensor.update();
         self.commands += 1;
         let (now, number) = (Instant::now(), self.commands);
@@ -190,26 +228,68 @@ impl LineState {
                 packet.due = Due::At(now + LAG);
             }
         }
-        let baud_rate = self.sensor.baud_rate;
-        if host != baud_rate {
+        if host != self.sensor.baud_rate {
             self.draw_bytes(["~~", "~>"], line, "another baud rate");
             return;
         }
-        let fate = self.choose_fate();
+        let fate = self.choose_fate(Some(line));
         self.draw_bytes(["--", "->"], line, if fate == Fate::OnTime { "" } else { fate.name() });
-        if fate == Fate::CommandLost {
-            return;
-        }
-        let Some(mut reply) = self.sensor.answer(line) else { return };
-        let wire =
-            |bytes| baud_rate.map_or(Duration::ZERO, |baud_rate| wire_time(baud_rate, bytes));
-        let on_the_wire = wire(line.len() + 1 + reply.len());
-        let on_time = Due::At(now + TURNAROUND + on_the_wire);
+        let reply = match fate {
+            Fate::CommandLost => None,
+            Fate::Ignored => Some(reply(line, b"00", &[])),
+            Fate::Refused => Some(reply(line, b"0M", &[])),
+            _ => self.sensor.answer(line),
+        };
+        let Some(reply) = reply else { return };
+        let begun = now + self.wire_time(line.len() + 1);
         let latency = if line[0] == b'G' { 500 } else { 1000 };
-        let deadline = now + Duration::from_millis(latency) + on_the_wire;
+        self.send(reply, fate, begun, TURNAROUND, Duration::from_millis(latency));
+    }
+
+    /// Sends what the stream has brought since the last time.
+    fn send_scans(&mut self) {
+        while let Some((at, mut scan)) = self.sensor.next_scan() {
+            let fate = self.choose_fate(None);
+            if fate != Fate::OnTime {
+                self.draw(&format!("a scan is sent: {}", fate.name()));
+            }
+            if fate == Fate::Refused {
+                let echo = scan.split(|byte| *byte == b'\n').next().unwrap();
+                scan = reply(echo, b"21", &[]);
+            }
+            if fate == Fate::DoubledAfterNext {
+                self.send(scan.clone(), Fate::OnTime, at, Duration::ZERO, Duration::ZERO);
+                let copy =
+                    Packet { bytes: scan, due: Due::At(at), baud_rate: self.sensor.baud_rate };
+                self.queue.extend(self.held.replace(copy));
+                continue;
+            }
+            self.send(scan, fate, at, Duration::ZERO, Duration::from_secs(1));
+            self.queue.extend(self.held.take());
+        }
+    }
+
+    fn wire_time(&self, bytes: usize) -> Duration {
+        let baud_rate = self.sensor.baud_rate;
+        baud_rate.map_or(Duration::ZERO, |baud_rate| wire_time(baud_rate, bytes))
+    }
+
+    /// Sends a reply on its way, which would begin after `turnaround` and is too late after `latency`.
+    fn send(
+        &mut self,
+        mut reply: Vec<u8>,
+        fate: Fate,
+        begun: Instant,
+        turnaround: Duration,
+        latency: Duration,
+    ) {
+        let (baud_rate, number) = (self.sensor.baud_rate, self.commands);
+        let on_the_wire = self.wire_time(reply.len());
+        let on_time = Due::At(begun + turnaround + on_the_wire);
+        let deadline = begun + latency + on_the_wire;
         let mut copy = None;
         let due = match fate {
-            Fate::OnTime => on_time,
+            Fate::OnTime | Fate::Refused | Fate::Ignored => on_time,
             Fate::Late => Due::At(deadline - Duration::from_millis(1)),
             Fate::AtDeadline => Due::At(deadline),
             Fate::AfterNext => Due::Command(number + 1),
@@ -224,6 +304,11 @@ impl LineState {
                 reply[place] = 0x7f;
                 on_time
             }
+            Fate::Flipped => {
+                let place = reply.len() - 4;
+                reply[place] ^= 1;
+                on_time
+            }
             Fate::Merged => {
                 reply.pop();
                 on_time
@@ -233,7 +318,7 @@ impl LineState {
                 on_time
             }
             Fate::DoubledSoon => {
-                copy = Some(Due::At(now + TURNAROUND + on_the_wire + SOON));
+                copy = Some(Due::At(begun + turnaround + on_the_wire + SOON));
                 on_time
             }
             Fate::DoubledAfterNext => {
@@ -251,7 +336,8 @@ impl LineState {
         host: Option<BaudRate>,
         buffer: &mut ReadBuf<'_>,
     ) -> Result<(), Option<Instant>> {
-        let packet = self.queue.front_mut().ok_or(None)?;
+        self.send_scans();
+        let packet = self.queue.front_mut().ok_or(self.sensor.next_at())?;
         let Due::At(at) = packet.due else { return Err(None) };
         if at > Instant::now() {
             return Err(Some(at));
@@ -284,6 +370,11 @@ impl Connect for ModelLine {
 
     async fn connect(&mut self) -> Result<Self::Port, Error> {
         let mut state = self.lock();
+        state.send_scans();
+        if std::mem::take(&mut state.is_unplugged) {
+            state.queue.clear();
+            state.held = None;
+        }
         state.link += 1;
         state.draw("the port is opened");
         let baud_rate = state.sensor.baud_rate.map(|_| BaudRate::B19200);

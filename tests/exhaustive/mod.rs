@@ -6,19 +6,33 @@ mod fate;
 mod line;
 mod orders;
 mod scenario;
+mod scip2;
 mod sensor;
 
 use std::time::Duration;
 
-use tokio_scip::{BaudRate, Rate, Window};
+use tokio_scip::protocol::Protocol::{Scip1, Scip2};
+use tokio_scip::{Rate, Window};
 
-use self::fate::{FATES, Fate};
-use self::line::Depth;
+use self::fate::{FATES, Fate, SCIP2_FATES};
+use self::line::{Cut, Depth};
 use self::scenario::{Deed, Scenario};
 
 /// Events that may happen besides.
-const DEEDS: &[Deed] =
-    &[Deed::Scan, Deed::CancelledScan, Deed::Laser, Deed::BaudRate, Deed::Unplug, Deed::HangUp];
+const DEEDS: &[Deed] = &[
+    Deed::Scan,
+    Deed::CancelledScan,
+    Deed::Stream,
+    Deed::Laser,
+    Deed::BaudRate,
+    Deed::Cut(Cut::Cable),
+    Deed::Cut(Cut::Port),
+    Deed::Cut(Cut::Power),
+    Deed::Cut(Cut::PowerAndCable),
+];
+
+/// Stream of another program.
+const LEFT_OVER: &[u8] = b"MD0500050101000";
 
 fn setting(name: &str) -> Option<usize> {
     std::env::var(name).ok().map(|text| text.parse().unwrap())
@@ -68,12 +82,27 @@ fn without_later_copies() -> &'static [Fate] {
 fn on_a_grid(name: &'static str, windows: &[Window]) -> Scenario {
     Scenario {
         name,
-        windows: windows.to_vec(),
-        rate: Rate::hz(10.0),
-        baud_rate: None,
+        protocols: (Scip1, Scip1),
+        streams: windows.iter().map(|window| (*window, Rate::hz(10.0))).collect(),
+        has_baud_rate: false,
         fates: FATES,
         deeds: &[],
         chooses_while_opening: false,
+        left_over: None,
+    }
+}
+
+fn unlimited(name: &'static str, window: Window) -> Scenario {
+    Scenario { streams: vec![(window, Rate::UNLIMITED)], ..on_a_grid(name, &[]) }
+}
+
+/// Returns a scenario in SCIP 2, in which the sensor streams unless the rate is low or the line slow.
+fn in_scip2(name: &'static str, streams: &[(Window, Rate)]) -> Scenario {
+    Scenario {
+        protocols: (Scip2, Scip2),
+        streams: streams.to_vec(),
+        fates: SCIP2_FATES,
+        ..on_a_grid(name, &[])
     }
 }
 
@@ -86,8 +115,7 @@ fn opening() {
 #[test]
 fn opening_on_a_serial_line() {
     let scenario = on_a_grid("opening on a serial line", &[can_differ()]);
-    let baud_rate = Some(BaudRate::B19200);
-    explore(&Scenario { chooses_while_opening: true, baud_rate, ..scenario });
+    explore(&Scenario { chooses_while_opening: true, has_baud_rate: true, ..scenario });
 }
 
 #[test]
@@ -98,8 +126,7 @@ fn windows_that_can_differ() {
 
 #[test]
 fn windows_that_can_differ_as_fast_as_possible() {
-    let scenario = on_a_grid("windows that can differ, Rate::UNLIMITED", &[can_differ()]);
-    explore(&Scenario { rate: Rate::UNLIMITED, ..scenario });
+    explore(&unlimited("windows that can differ, Rate::UNLIMITED", can_differ()));
 }
 
 #[test]
@@ -110,22 +137,21 @@ fn windows_that_cannot_differ() {
 
 #[test]
 fn windows_that_cannot_differ_as_fast_as_possible() {
-    let scenario = on_a_grid("windows that cannot differ, Rate::UNLIMITED", &[cannot_differ()]);
-    explore(&Scenario { rate: Rate::UNLIMITED, fates: without_later_copies(), ..scenario });
+    let scenario = unlimited("windows that cannot differ, Rate::UNLIMITED", cannot_differ());
+    explore(&Scenario { fates: without_later_copies(), ..scenario });
 }
 
 /// On a serial line a fence stands between two polls that follow each other at once.
 #[test]
 fn windows_that_cannot_differ_on_a_serial_line() {
-    let scenario =
-        on_a_grid("windows that cannot differ, 19,200 baud, Rate::UNLIMITED", &[cannot_differ()]);
-    explore(&Scenario { rate: Rate::UNLIMITED, baud_rate: Some(BaudRate::B19200), ..scenario });
+    let name = "windows that cannot differ, 19,200 baud, Rate::UNLIMITED";
+    explore(&Scenario { has_baud_rate: true, ..unlimited(name, cannot_differ()) });
 }
 
 #[test]
 fn windows_on_a_serial_line() {
     let scenario = on_a_grid("windows that can differ, 19,200 baud", &[can_differ()]);
-    explore(&Scenario { baud_rate: Some(BaudRate::B19200), deeds: DEEDS, ..scenario });
+    explore(&Scenario { has_baud_rate: true, deeds: DEEDS, ..scenario });
 }
 
 #[test]
@@ -136,5 +162,56 @@ fn single_steps() {
 #[test]
 fn two_schedules() {
     let scenario = on_a_grid("two schedules", &[can_differ(), cannot_differ()]);
-    explore(&Scenario { deeds: &[Deed::CancelledScan, Deed::Laser, Deed::Unplug], ..scenario });
+    let deeds = &[Deed::CancelledScan, Deed::Laser, Deed::Cut(Cut::Cable)];
+    explore(&Scenario { deeds, ..scenario });
+}
+
+#[test]
+fn opening_in_scip_2() {
+    let scenario = |name, rate| Scenario {
+        chooses_while_opening: true,
+        ..in_scip2(name, &[(can_differ(), rate)])
+    };
+    let unlimited = |name| scenario(name, Rate::UNLIMITED);
+    explore(&unlimited("SCIP 2, opening"));
+    let serial = Scenario { has_baud_rate: true, ..unlimited("SCIP 2, opening on a serial line") };
+    explore(&serial);
+    let name = "SCIP 2, opening from SCIP 1.1";
+    explore(&Scenario { name, protocols: (Scip1, Scip2), ..serial });
+    // No stream of the driver's own takes its place.
+    let polls = scenario("SCIP 2, opening with a stream left over", Rate::hz(0.5));
+    explore(&Scenario { left_over: Some(LEFT_OVER), ..polls });
+}
+
+#[test]
+fn polls_in_scip_2() {
+    let scenario = in_scip2("SCIP 2, polls", &[(can_differ(), Rate::hz(0.5))]);
+    explore(&Scenario { deeds: DEEDS, ..scenario });
+}
+
+/// The line is too slow for a stream.
+#[test]
+fn polls_in_scip_2_on_a_serial_line() {
+    let name = "SCIP 2, polls at 19,200 baud, Rate::UNLIMITED";
+    let scenario = in_scip2(name, &[(window(300, 403, 1), Rate::UNLIMITED)]);
+    explore(&Scenario { has_baud_rate: true, deeds: DEEDS, ..scenario });
+}
+
+#[test]
+fn a_stream_in_scip_2() {
+    let scenario = in_scip2("SCIP 2, a stream", &[(can_differ(), Rate::UNLIMITED)]);
+    explore(&Scenario { deeds: DEEDS, ..scenario });
+}
+
+#[test]
+fn a_stream_in_scip_2_on_a_serial_line() {
+    let name = "SCIP 2, a stream at 19,200 baud";
+    let scenario = in_scip2(name, &[(can_differ(), Rate::UNLIMITED)]);
+    explore(&Scenario { has_baud_rate: true, deeds: DEEDS, ..scenario });
+}
+
+#[test]
+fn a_stream_and_polls_in_scip_2() {
+    let streams = [(can_differ(), Rate::hz(5.0)), (window(302, 310, 1), Rate::hz(0.5))];
+    explore(&Scenario { deeds: DEEDS, ..in_scip2("SCIP 2, a stream and polls", &streams) });
 }

@@ -5,32 +5,40 @@ use std::fmt;
 use std::time::Duration;
 
 use tokio::runtime::Runtime;
-use tokio::time::{Instant, timeout};
+use tokio::time::{Instant, sleep, timeout};
+use tokio_scip::protocol::Protocol;
 use tokio_scip::{BaudRate, Error, Rate, ScanStream, Sensor, Window};
 
 use super::chooser::Chooser;
 use super::fate::Fate;
-use super::line::{Depth, ModelLine};
+use super::line::{Cut, Depth, ModelLine};
+use super::sensor::ModelSensor;
 
 /// A run that takes longer hangs.
 const LIMIT: Duration = Duration::from_secs(120);
 /// Scans that each stream has to bring after the last choice.
 const SCANS_AFTER: usize = 2;
+/// Time for which the laser is off.
+const STAYS_OFF: Duration = Duration::from_millis(250);
 const OTHER_WINDOW: std::ops::RangeInclusive<u16> = 500..=501;
 const OTHER_BAUD_RATE: BaudRate = BaudRate::B115200;
 
 /// Fates, user actions and windows to enumerate.
 pub(crate) struct Scenario {
     pub(crate) name: &'static str,
-    pub(crate) windows: Vec<Window>,
-    pub(crate) rate: Rate,
-    /// `None` on USB.
-    pub(crate) baud_rate: Option<BaudRate>,
+    /// Protocol after power-up, and the one to speak.
+    pub(crate) protocols: (Protocol, Protocol),
+    /// Windows and rates of the streams.
+    pub(crate) streams: Vec<(Window, Rate)>,
+    /// False on USB.
+    pub(crate) has_baud_rate: bool,
     pub(crate) fates: &'static [Fate],
     /// Actions besides, each in every place.
     pub(crate) deeds: &'static [Deed],
     /// True if the choices begin with opening, false if they begin with the streams.
     pub(crate) chooses_while_opening: bool,
+    /// Command of another program, which has died.
+    pub(crate) left_over: Option<&'static [u8]>,
 }
 
 /// An action of a user, or with the cable, done once.
@@ -39,13 +47,12 @@ pub(crate) enum Deed {
     Scan,
     /// A scan whose future is dropped at the next place.
     CancelledScan,
+    /// Another stream is opened, and dropped after a scan.
+    Stream,
     /// Laser is switched off and on.
     Laser,
     BaudRate,
-    /// Cable is pulled and put back; what was on it is lost.
-    Unplug,
-    /// Port is hung up, and the system keeps what comes for the next link.
-    HangUp,
+    Cut(Cut),
 }
 
 /// Figures of an enumeration.
@@ -115,7 +122,11 @@ impl Scenario {
         draws: bool,
     ) -> (Chooser, Result<SearchFigures, String>, String) {
         runtime.block_on(async {
-            let line = ModelLine::new(chooser, self.baud_rate, self.fates, draws);
+            let mut sensor = ModelSensor::new(self.protocols.0, self.has_baud_rate);
+            if let Some(command) = self.left_over {
+                sensor.answer(command);
+            }
+            let line = ModelLine::new(chooser, sensor, self.fates, draws);
             let begun = Instant::now();
             let run =
                 ScenarioRun { scenario: self, line: &line, depth, deed, done: Cell::new(false) };
@@ -145,6 +156,7 @@ impl ScenarioRun<'_> {
         let scenario = self.scenario;
         fastrand::seed(1);
         let builder = Sensor::builder().wait_for_sensor(true).depth(256);
+        let builder = builder.protocol(scenario.protocols.1);
         let (sensor, driver) = builder.build(self.line.clone());
         let driver = tokio::spawn(driver);
         if scenario.chooses_while_opening {
@@ -152,8 +164,8 @@ impl ScenarioRun<'_> {
         }
         sensor.watch_state().connected().await.map_err(|error| format!("not opened: {error}"))?;
         let mut streams = Vec::new();
-        for window in &scenario.windows {
-            let stream = sensor.scans(*window, scenario.rate).await;
+        for (window, rate) in &scenario.streams {
+            let stream = sensor.scans(*window, *rate).await;
             streams.push(stream.map_err(|error| format!("no stream: {error}"))?);
         }
         if !scenario.chooses_while_opening {
@@ -162,35 +174,45 @@ impl ScenarioRun<'_> {
         let (scans, ()) = tokio::try_join!(self.read(streams), self.act(&sensor))?;
         sensor.close().await;
         match driver.await {
+            Ok(Ok(())) if self.line.lock().sensor.is_streaming() => {
+                Err("the sensor still sends scans".to_owned())
+            }
             Ok(Ok(())) => Ok(scans),
             ended => Err(format!("the driver has ended with {ended:?}")),
         }
     }
 
     fn begin(&self) {
-        let hang_up = match self.deed {
-            Some((Deed::Unplug, place)) => Some((place, false)),
-            Some((Deed::HangUp, place)) => Some((place, true)),
+        let cut = match self.deed {
+            Some((Deed::Cut(cut), place)) => Some((place, cut)),
             _ => None,
         };
-        self.line.begin(self.depth, hang_up);
+        self.line.begin(self.depth, cut);
     }
 
     /// Checks all scans, until each stream has brought some after the last choice.
     async fn read(&self, mut streams: Vec<ScanStream>) -> Result<u64, String> {
-        let mut scans = 0;
+        let (mut scans, mut done_at) = (0, None);
         for stream in &mut streams {
-            let mut after = 0;
+            let (mut after, mut latest) = (0, None);
             while after < SCANS_AFTER {
                 match stream.next().await {
                     Some(Ok(scan)) => {
                         let text = format!("scan {} of {}", scan.sequence(), scan.window());
                         self.line.draw(&text);
-                        self.line.lock().sensor.check(&scan)?;
-                        after += usize::from(self.done.get() && self.line.is_done());
+                        latest = Some(self.line.lock().sensor.check(&scan, latest)?);
+                        if self.done.get() && self.line.is_done() {
+                            let done_at = *done_at.get_or_insert_with(Instant::now);
+                            after += usize::from(scan.received_at() > done_at);
+                        }
                         scans += 1;
                     }
-                    Some(Err(error)) => self.line.draw(&format!("error: {error}")),
+                    Some(Err(error)) => {
+                        self.line.draw(&format!("error: {error}"));
+                        if self.deed.is_none() && !self.line.lock().is_faulty {
+                            return Err("an error without a fault".to_owned());
+                        }
+                    }
                     None => return Err("the stream has ended".to_owned()),
                 }
             }
@@ -211,18 +233,34 @@ impl ScenarioRun<'_> {
         self.line.draw(&format!("the user: {deed:?}"));
         let other_window = Window::new(OTHER_WINDOW).unwrap();
         match deed {
-            Deed::Unplug | Deed::HangUp => {}
+            Deed::Cut(_) => {}
             Deed::Scan => self.check_scan(sensor.scan(other_window).await)?,
             Deed::CancelledScan => tokio::select! {
                 biased;
                 () = self.line.reached(place + 1) => self.line.draw("the user drops the scan"),
                 scan = sensor.scan(other_window) => self.check_scan(scan)?,
             },
+            Deed::Stream => {
+                let stream = sensor.scans(other_window, Rate::UNLIMITED).await;
+                let mut stream = stream.map_err(|error| format!("no stream: {error}"))?;
+                loop {
+                    match stream.next().await {
+                        Some(Ok(scan)) => break self.check_scan(Ok(scan))?,
+                        Some(Err(error)) => self.line.draw(&format!("error: {error}")),
+                        None => return Err("the other stream has ended".to_owned()),
+                    }
+                }
+            }
             Deed::Laser => {
                 let off = sensor.laser_off().await;
                 self.line.draw(&format!("laser_off: {off:?}"));
-                if off.is_ok() && self.line.lock().sensor.is_laser_on {
-                    return Err("the laser is on after laser_off".to_owned());
+                if off.is_ok() {
+                    for _ in 0..2 {
+                        if self.line.lock().sensor.is_laser_on {
+                            return Err("the laser is on after laser_off".to_owned());
+                        }
+                        sleep(STAYS_OFF).await;
+                    }
                 }
                 while let Err(error) = sensor.laser_on().await {
                     self.line.draw(&format!("laser_on: {error}"));
@@ -246,7 +284,7 @@ impl ScenarioRun<'_> {
 
     fn check_scan(&self, scan: Result<tokio_scip::Scan, Error>) -> Result<(), String> {
         match scan {
-            Ok(scan) => self.line.lock().sensor.check(&scan),
+            Ok(scan) => self.line.lock().sensor.check(&scan, None).map(drop),
             Err(error) => {
                 self.line.draw(&format!("scan: {error}"));
                 Ok(())
