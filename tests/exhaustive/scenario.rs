@@ -172,6 +172,10 @@ impl ScenarioRun<'_> {
             self.begin();
         }
         let (scans, ()) = tokio::try_join!(self.read(streams), self.act(&sensor))?;
+        let is_polled = scenario.streams.iter().all(|(_, rate)| *rate == Rate::hz(0.5));
+        if is_polled && self.line.lock().sensor.is_streaming() {
+            return Err("the sensor sends scans that nobody wants".to_owned());
+        }
         sensor.close().await;
         match driver.await {
             Ok(Ok(())) if self.line.lock().sensor.is_streaming() => {
