@@ -68,6 +68,8 @@ pub struct Window {
 enum Wish {
     /// Everything that the sensor measures.
     All,
+    /// Everything that the sensor answers for.
+    Answered,
     /// The steps inside an interval of micro-degrees, counter-clockwise from the front. The least and
     /// the largest number stand for the ends of what the sensor measures.
     Degrees(i32, i32),
@@ -100,14 +102,15 @@ impl TryFrom<UncheckedWindow> for Window {
 }
 
 impl Window {
-    /// Every step of a URG-04LX, 0..=768. A real URG-04LX measures nothing outside of
-    /// [`Window::DETECTION`]: the steps there always carry error code 19.
+    /// Every step that the sensor sends. For a URG-04LX in SCIP 1.1: steps 0..=768, and it measures
+    /// nothing outside of [`Window::DETECTION`]: the steps there always carry error code 19. Others
+    /// send only what they measure.
     ///
     /// Successive polls of a window differ in their echo if there is a spare step on
     /// either side. This window has no spare step, and neither have some windows with a
     /// cluster count above 1 (0..=725 in clusters of 4). They have one safeguard less
     /// against a reply that a faulty line delivers twice.
-    pub const FULL: Self = Self::from_steps(0, LAST);
+    pub const FULL: Self = Self { wish: Wish::Answered, ..Self::from_steps(0, LAST) };
 
     /// All that the sensor measures. For a URG-04LX: steps 44..=725, -119.53 to +119.88 degrees, 682
     /// points.
@@ -166,8 +169,9 @@ impl Window {
     pub fn resolve(self, geometry: &Geometry) -> Result<Self, WindowError> {
         let answered = geometry.answered_steps();
         let (start, end) = match self.wish {
-            Wish::All => {
-                let (start, end) = geometry.steps().into_inner();
+            Wish::All | Wish::Answered => {
+                let steps = if self.wish == Wish::All { geometry.steps() } else { answered };
+                let (start, end) = steps.into_inner();
                 return Ok(Self { start, end, ..self });
             }
             Wish::Degrees(from, to) => measured_inside(geometry, from, to),
@@ -183,8 +187,8 @@ impl Window {
         }
     }
 
-    /// Returns true if `other` asks for the same on every sensor: all that it measures, the same degrees
-    /// or the same steps, in the same clusters. Finds the [statistics](crate::stats::ScheduleStats) of a
+    /// Returns true if `other` asks for the same on every sensor: all that it measures or sends, the
+    /// same degrees or the same steps, in the same clusters. Finds the [statistics](crate::stats::ScheduleStats) of a
     /// stream, whose window has the steps of the sensor.
     ///
     /// Windows that are equal may differ in this: one of all that the sensor measures, one of steps
@@ -406,7 +410,7 @@ fn wanted(window: &Window) -> String {
             });
             format!("invalid window from {from} to {to} degrees")
         }
-        Wish::All | Wish::Steps => {
+        Wish::All | Wish::Answered | Wish::Steps => {
             format!("invalid window of steps {}..={}", window.start, window.end)
         }
     }

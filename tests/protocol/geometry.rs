@@ -162,7 +162,9 @@ fn a_window_gets_the_steps_of_the_sensor() {
         (steps(44, 725), ust(), (44, 725)),
         (steps(0, 1080), ust(), (0, 1080)),
         (steps(44, 725), ug01(), (44, 725)),
-        (Window::FULL, ust(), (0, 768)),
+        (steps(0, 768), ust(), (0, 768)),
+        (Window::FULL, ust(), (0, 1080)),
+        (Window::FULL, ug01(), (44, 725)),
         (Window::FULL, Geometry::URG_04LX, (0, 768)),
     ] {
         let found = resolved(window, geometry);
@@ -176,7 +178,7 @@ fn a_window_that_is_not_measured_names_what_is() {
     let coarse = geometry("UST-10LX", [23, 60_000, 36, 0, 27, 13, 2400]);
     for (window, geometry, text) in [
         (
-            Window::FULL,
+            Window::new(0..=768).unwrap(),
             ug01(),
             "invalid window of steps 0..=768: this sensor measures steps 44..=725 \
              (-119.53 to 119.88 degrees), 0.352 degrees apart",

@@ -98,8 +98,8 @@ async fn nothing_of_scip_2_is_sent_to_a_sensor_of_scip_1() {
 
 #[tokio::test(start_paused = true)]
 async fn a_window_that_a_sensor_lacks_costs_only_its_stream() {
-    let large = Window::new(0..=1080).unwrap();
-    for (model, lacking) in [(Model::Urg04lxUg01, Window::FULL), (Model::Urg04lx, large)] {
+    let [wide, large] = [768, 1080].map(|last| Window::new(0..=last).unwrap());
+    for (model, lacking) in [(Model::Urg04lxUg01, wide), (Model::Urg04lx, large)] {
         let emulator = numbered(model).build();
         let sensor = builder().connect(emulator.clone()).await.unwrap();
         for rate in [Rate::hz(10.0), Rate::UNLIMITED] {

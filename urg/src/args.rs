@@ -102,8 +102,8 @@ impl CopyArgs {
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Window")]
 pub(crate) struct WindowArgs {
-    /// Steps to measure: detection (all that the sensor measures), full (0..768), or FIRST..LAST
-    /// [default: detection, or as recorded]
+    /// Steps to measure: detection (all that the sensor measures), full (all that it sends, which is
+    /// more in SCIP 1.1: 0..768), or FIRST..LAST [default: detection, or as recorded]
     ///
     /// Step 0 is at the right, and a model has steps of its own (see `urg info`): of a URG-04LX step
     /// 384 is the front, of a UST 540. --from and --to mean the same directions for each model.

@@ -4,7 +4,7 @@ use serde_json::Value;
 use tokio::io::AsyncWriteExt;
 use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
-use urg_emulator::{Emulator, Model};
+use urg_emulator::{Emulator, Firmware, Model};
 
 use super::formats::{scans, values};
 use super::program::{Scratch, run};
@@ -49,6 +49,7 @@ fn a_window_has_the_steps_of_the_model() {
     assert_eq!(scan("--to 0"), (0, 540));
     let error = run(&format!("scan {port} --window 0..1081"), 1).stderr;
     assert!(error.contains("this sensor measures steps 0..=1080"), "{error}");
+    assert_eq!(scan("--window full"), (0, 1080));
     let error = run("scan emulated --window 0..1080", 1).stderr;
     assert!(error.contains("this sensor measures steps 44..=725"), "{error}");
     // A stream would wait for another sensor.
@@ -67,6 +68,9 @@ fn a_protocol_can_be_asked_for() {
     run(&format!("info {port} --protocol scip2"), 0);
     let text = run("info emulated --protocol scip2", 0).stdout;
     assert!(text.contains("20 to 5600 mm"), "{text}");
+    let (_runtime, port) = on_tcp(Emulator::builder().firmware(Firmware::Text).build());
+    let error = run(&format!("info {port} --protocol scip2 --timeout 2s"), 1).stderr;
+    assert!(error.contains("has no SCIP 2: leave out --protocol"), "{error}");
     let text = run("info emulated --protocol scip1", 0).stdout;
     assert!(text.contains("20 to 4094 mm"), "{text}");
 }
@@ -151,7 +155,9 @@ fn intensities_are_in_each_format_if_asked_for() {
 
 #[test]
 fn a_sensor_without_intensities_measures_none() {
-    let scan = run("scan emulated --intensity --format json", 0).stdout;
+    let output = run("scan emulated --intensity --format json", 0);
+    assert_eq!(output.stderr, "urg: emulated has no intensities\n");
+    let scan = output.stdout;
     assert!(scans(&scan)[0].get("intensities").is_none(), "{scan}");
     let csv = run("scan emulated --intensity --format csv-xy", 0).stdout;
     assert!(csv.lines().next().unwrap().ends_with(",range,intensity,code,x,y"), "{csv}");
@@ -200,8 +206,10 @@ fn a_replay_invents_no_intensities() {
         let file = Scratch::mcap("replayed");
         run(&format!("record {port} {} {option} --count 3", file.path()), 0);
         let read = format!("stream {} --intensity --format ndjson --count 1", file.path());
-        let scan = scans(&run(&read, 0).stdout).remove(0);
+        let output = run(&read, 0);
+        let scan = scans(&output.stdout).remove(0);
         assert_eq!(scan.get("intensities").is_some(), has, "{scan}");
+        assert_eq!(output.stderr.contains("has no intensities"), !has, "{}", output.stderr);
     }
 }
 

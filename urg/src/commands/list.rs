@@ -14,8 +14,9 @@ use crate::output::stdout::print;
 ///
 /// A likely sensor has Hokuyo's USB id, 15d1. Behind a USB-to-serial adapter you see
 /// the adapter's id, and on RS-232 a sensor looks like any other device: run `urg info
-/// PORT` to identify it. This command opens no port, and lists no sensor on Ethernet:
-/// their address is 192.168.0.10 until you change it, `urg info tcp://192.168.0.10`.
+/// PORT` to identify it. This command opens no port, and lists no sensor on Ethernet, which
+/// announces itself to nobody: its address is 192.168.0.10 until you change it, `urg info
+/// tcp://192.168.0.10`.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  urg list\n  urg list --format json | jq -r '.[] | select(.likely_sensor).path'"

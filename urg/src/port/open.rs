@@ -8,7 +8,7 @@ use tokio_scip::{BaudRate, Endpoint, Error, ErrorKind, Sensor, SensorBuilder, St
 use urg_emulator::{Emulator, Firmware, Room};
 
 use super::name::PortName;
-use crate::args::LinkArgs;
+use crate::args::{LinkArgs, ProtocolName};
 use crate::delivery::Delivery;
 use crate::failure::{Failure, chain};
 use crate::output::notice::notice;
@@ -118,11 +118,23 @@ pub(crate) async fn opened(
             sensor.watch_state().connected().await
         }
     };
-    opened.map_err(|error| not_opened(port, &error))
+    opened.map_err(|error| not_opened(port, link, &error))?;
+    let has_intensities = || match port {
+        PortName::Recording(recorded) => recorded.may_have_intensities(),
+        _ => sensor.parameters().is_some_and(|parameters| parameters.has_intensities()),
+    };
+    if link.intensity && !has_intensities() {
+        notice(format_args!("{port} has no intensities"));
+    }
+    Ok(())
 }
 
-fn not_opened(port: &PortName, error: &Error) -> Failure {
+fn not_opened(port: &PortName, link: &LinkArgs, error: &Error) -> Failure {
     match (port, error.kind()) {
+        (_, ErrorKind::Timeout { .. }) if link.protocol == ProtocolName::Scip2 => {
+            let advice = "a URG-04LX with old firmware has no SCIP 2: leave out --protocol";
+            Failure::Failed(format!("{}; {advice}", Failure::at(port, error).line()))
+        }
         (PortName::Endpoint(Endpoint::Tcp { .. }), ErrorKind::Disconnected { .. }) => {
             let advice = "a sensor on Ethernet may still boot, or serve another client";
             Failure::Failed(format!("{}; {advice}", Failure::at(port, error).line()))

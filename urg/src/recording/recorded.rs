@@ -174,11 +174,17 @@ impl Recorded {
         }
         // A replay would invent them: the recorded model may have some.
         let builder =
-            if has_intensities(self.open()?) { builder } else { builder.intensities(false) };
+            if self.may_have_intensities() { builder } else { builder.intensities(false) };
         let emulator = recording.replay(self.pace).map_err(|error| self.no_scans(&error))?;
         let (sensor, driver) = builder.build(emulator);
         tokio::spawn(run(driver, sensor.clone(), delivery, self.consumed.subscribe()));
         Ok(sensor)
+    }
+
+    /// Returns true if the first scan has intensities, or cannot be read twice.
+    pub(crate) fn may_have_intensities(&self) -> bool {
+        let first = || self.open().ok()?.scans().find_map(Result::ok);
+        self.stdin.is_some() || first().is_some_and(|scan| scan.intensities().is_some())
     }
 
     /// Describes what a replay has left out of the stream, if anything.
@@ -308,10 +314,4 @@ async fn run(
             return;
         }
     }
-}
-
-/// Returns true if the first scan of a recording has intensities.
-fn has_intensities(recording: Recording) -> bool {
-    let first = recording.scans().find_map(Result::ok);
-    first.is_some_and(|scan| scan.intensities().is_some())
 }
