@@ -260,6 +260,24 @@ fn a_damaged_last_record_hides_no_end() {
 }
 
 #[test]
+fn a_damaged_kind_ends_no_file_before_its_metadata() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    // It was a message index.
+    let damaged = of_kind(0x0f, &[&[0; 2][..], &claims(16), &[0; 16]].concat());
+    let file = [MAGIC, &chunk, &damaged, &metadata(), &chunk, &end()].concat();
+    assert_eq!(read(&file), (vec![8 + chunk.len() as u64], 2, false));
+}
+
+#[test]
+fn metadata_at_a_damaged_beginning_is_read() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    let file = [&MAGIC[..4], &metadata(), &chunk, &end()].concat();
+    let mut recording = Recording::read(Cursor::new(file)).unwrap();
+    assert_eq!(recording.by_ref().filter(Result::is_ok).count(), 1);
+    assert_eq!(recording.metadata()["rate"], "10 Hz");
+}
+
+#[test]
 fn a_file_without_its_last_byte_is_truncated() {
     let file = [MAGIC, &chunk_of(&[channel(), event(0)].concat()), &end()].concat();
     assert_eq!(read(&file), (vec![], 1, false));

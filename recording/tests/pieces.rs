@@ -44,7 +44,8 @@ fn the_end_of_a_file_may_lie_across_two_reads() {
     let data = [chunk_of(&[channel(), event(0)].concat()), of_kind(0x0f, &[0; 4])].concat();
     for before in 0..50 {
         // Other programs' summaries have records of their own.
-        let filler = filler(8 + data.len(), before);
+        let length = READ_BYTES - before - 8 - data.len() - 9;
+        let filler = of_kind(0x80, &vec![0; length]);
         let footer = of_kind(0x02, &[0; 20]);
         let file = [MAGIC, &data, &filler, &footer, MAGIC].concat();
         assert_eq!(read(&file), (vec![], 1, false), "{before} bytes before");

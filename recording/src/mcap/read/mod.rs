@@ -36,7 +36,10 @@ pub(super) enum Section {
 
 /// Kinds of records that no summary has.
 fn is_data(kind: u8) -> bool {
-    matches!(kind, kind::MESSAGE | kind::CHUNK | kind::MESSAGE_INDEX)
+    matches!(
+        kind,
+        kind::MESSAGE | kind::CHUNK | kind::MESSAGE_INDEX | kind::ATTACHMENT | kind::METADATA
+    )
 }
 
 /// Reads the parts of a file up to its summary.
@@ -347,8 +350,9 @@ impl Sections {
     /// none nearby: a few damaged bytes do not make another kind of file.
     fn find_first_record(&mut self) -> Result<Option<Section>, RecordingError> {
         let error = self.damaged("the file does not begin with the magic bytes of MCAP");
-        let is_first =
-            |kind| matches!(kind, kind::HEADER | kind::SCHEMA | kind::CHANNEL | kind::CHUNK);
+        let is_first = |kind| {
+            is_known(kind) && !matches!(kind, kind::MESSAGE | kind::MESSAGE_INDEX | kind::DATA_END)
+        };
         match self.window.skip_to(is_first, MAX_CHUNK_BYTES)? {
             true => Err(error),
             false => Err(RecordingError::NotMcap),
