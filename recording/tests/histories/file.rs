@@ -246,6 +246,8 @@ pub(super) struct Layout {
     metadata: Vec<(Range<usize>, Metadata)>,
     /// Where records begin and end, in order.
     pub(super) boundaries: Vec<usize>,
+    /// Where records of known kinds begin: a search finds no others.
+    known: Vec<usize>,
     /// Places that no checksum covers and whose damage may change a message.
     unproved: Vec<Range<usize>>,
     /// Chunks, and where their records end.
@@ -262,6 +264,7 @@ impl Layout {
             parts: Vec::new(),
             metadata: Vec::new(),
             boundaries: vec![MAGIC.len()],
+            known: Vec::new(),
             unproved: Vec::new(),
             chunks: Vec::new(),
             summary: file.len()..file.len(),
@@ -273,9 +276,12 @@ impl Layout {
             let place = at..at + 9 + content.len();
             at = place.end;
             layout.boundaries.push(at);
+            layout.known.extend((kind < 0x10).then_some(place.start));
             match mcap::parse_record(kind, content).unwrap() {
                 Record::DataEnd(end) => {
                     layout.summary.start = place.start;
+                    // Its kind may become that of a message.
+                    layout.unproved.push(place.start..place.start + 1);
                     layout.has_sum = end.data_section_crc != 0 && layout.chunks.is_empty();
                 }
                 Record::Chunk { header, data } => {
@@ -304,6 +310,7 @@ impl Layout {
                         let own = inner..inner + 9 + content.len();
                         inner = own.end;
                         layout.boundaries.push(inner);
+                        layout.known.extend((kind < 0x10).then_some(own.start));
                         rest = &rest[9 + content.len()..];
                         let places =
                             if is_proved { vec![place.clone()] } else { vec![head.clone(), own] };
@@ -323,6 +330,7 @@ impl Layout {
             }
         }
         layout.boundaries.sort_unstable();
+        layout.known.sort_unstable();
         layout
     }
 
@@ -349,6 +357,56 @@ impl Layout {
         self.unproved.iter().any(is_hit)
     }
 
+    /// Returns what is lost with a record whose head is damaged at `at`: all records that it reaches
+    /// over if nothing in it shows its length, and all data after it if it looks like their end.
+    pub(super) fn swallowed(
+        &self,
+        whole: &[u8],
+        damaged: &[u8],
+        at: usize,
+    ) -> Option<Range<usize>> {
+        let start = *self.boundaries.iter().rev().find(|edge| **edge <= at)?;
+        let (head, before) = (damaged.get(start..start + 9)?, whole.get(start..start + 9)?);
+        let length = usize::try_from(u64::from_le_bytes(head[1..].try_into().unwrap())).ok()?;
+        let end = length.checked_add(start + 9)?;
+        let shift = whole.len() as isize - damaged.len() as isize;
+        let ends = [end, end.saturating_add_signed(shift)];
+        let next = self.boundaries.iter().find(|edge| **edge > start)?;
+        match head[0] {
+            _ if head == before => None,
+            // Only a whole record may end where the file does.
+            0x05 | 0x10.. if end == damaged.len() => Some(start..end),
+            0x05 | 0x10.. if ends.iter().any(|end| self.begins(whole, *end)) => Some(start..end),
+            // A summary may begin with records of a later version.
+            0x0f if whole[*next] >= 0x10 => Some(start..self.summary.start),
+            _ => None,
+        }
+    }
+
+    /// Returns true if a record begins here, also one of the summary of this file.
+    fn begins(&self, file: &[u8], place: usize) -> bool {
+        let mut at = self.summary.start;
+        while at < place && at + MAGIC.len() < file.len() {
+            at += 9 + split(&file[at..]).1.len();
+        }
+        at == place || self.boundaries.contains(&place)
+    }
+
+    /// Returns true if nothing shows that there is a chunk: damage has struck its head twice, or its head
+    /// and the record before it. Before the first chunk, any record may become a message, of a file
+    /// without chunks.
+    pub(super) fn hides_chunk(&self, struck: &[Range<usize>]) -> bool {
+        let count = |place: Range<usize>| {
+            struck.iter().filter(|hit| hit.start < place.end && place.start < hit.end).count()
+        };
+        self.chunks.iter().enumerate().any(|(number, (chunk, _))| {
+            let head = chunk.start..chunk.start + CHUNK_HEAD;
+            let before = self.boundaries.iter().rev().find(|edge| **edge < chunk.start);
+            let before = before.filter(|_| number > 0).map_or(0, |edge| *edge);
+            count(head.clone()) > 0 && count(before..head.end) > 1
+        })
+    }
+
     /// Metadata that must survive.
     pub(super) fn metadata(&self, is_hit: impl Fn(&Range<usize>) -> bool) -> Vec<Metadata> {
         let left = self.metadata.iter().filter(|(place, _)| !is_hit(place));
@@ -363,13 +421,15 @@ impl Layout {
         }) else {
             return false;
         };
-        let edge = |start: usize, by: isize| {
-            let at = self.boundaries.partition_point(|edge| *edge < start) as isize + by;
-            self.boundaries[at.clamp(0, self.boundaries.len() as isize - 1) as usize]
+        let edge = |edges: &[usize], start: usize, by: isize| {
+            let at = edges.partition_point(|edge| *edge < start) as isize + by;
+            edges[at.clamp(0, edges.len() as isize - 1) as usize]
         };
         // With the bytes that are inserted between records.
-        let before = |count: isize| is_hit(&(edge(own.start, -count) - 1..own.start + 1));
-        let after = |count: isize| is_hit(&(own.end - 1..edge(own.end, count) + 1));
+        let before =
+            |count: isize| is_hit(&(edge(&self.known, own.start, -count) - 1..own.start + 1));
+        let after =
+            |count: isize| is_hit(&(own.end - 1..edge(&self.boundaries, own.end, count) + 1));
         before(1) && after(2) || before(2) && after(1)
     }
 

@@ -541,7 +541,7 @@ impl History {
         // From the end, so that the places before it stay.
         places.sort_unstable_by_key(|place| std::cmp::Reverse(*place));
         let mut file = whole.clone();
-        let mut hits: Vec<Range<usize>> = Vec::new();
+        let (mut hits, mut struck) = (Vec::<Range<usize>>::new(), Vec::<Range<usize>>::new());
         for at in places {
             let is_boundary = layout.boundaries.contains(&at);
             let kind = random.below(5);
@@ -565,15 +565,18 @@ impl History {
                     let length = random.below((file.bytes.len() - at) as u64);
                     let aim = random.pick(&layout.boundaries).checked_sub(at + 9);
                     let (aim, is_aimed) = (aim.unwrap_or(0) as u64, random.once_in(2));
-                    // Whatever a record without lengths ends before follows it.
                     let is_data = matches!(whole.bytes[at], 0x05 | 0x10..);
                     let length = if is_aimed && !is_data { aim } else { length };
                     file.bytes[at + 1..at + 9].copy_from_slice(&length.to_le_bytes());
                     hits.push(at + 1..at + 9);
+                    struck.push(at + 1..at + 9);
+                    hits.extend(layout.swallowed(&whole.bytes, &file.bytes, at));
                     continue;
                 }
                 _ => continue,
             }
+            struck.push(at..end);
+            hits.extend(layout.swallowed(&whole.bytes, &file.bytes, at));
             match kind {
                 0 => hits.push(at..end),
                 1 => hits.push(at..at + 1),
@@ -611,8 +614,9 @@ impl History {
         if file.must.is_empty() {
             return whole.clone();
         }
-        let is_loose = layout.is_unproved(is_hit);
+        let is_loose = layout.is_unproved(is_hit) || layout.hides_chunk(&struck);
         let is_proved = layout.has_sum
+            && !is_hit(&(layout.summary.start..layout.summary.start + 13))
             && file.bytes[..layout.summary.start.min(file.bytes.len())]
                 != whole.bytes[..layout.summary.start];
         File { is_complete: false, is_loose, is_proved, ..file }
