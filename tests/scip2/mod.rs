@@ -89,6 +89,19 @@ async fn a_urg_speaks_scip_2_if_asked() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_urg_that_restarted_is_known_by_two_replies() {
+    let emulator = numbered(Model::Urg04lx).firmware(Firmware::V31).build();
+    let sensor = builder().protocol(Protocol::Scip2).connect(emulator.clone()).await.unwrap();
+    emulator.power_cycle();
+    while sensor.laser_off().await.is_err() {}
+    let log = emulator.log();
+    let asked = log.iter().rev().skip_while(|line| line.line != b"SCIP2.0").skip(1);
+    // It is silent on `QT`, and refuses the probe in SCIP 1.1.
+    let probes = asked.skip_while(|line| line.line.len() == 9);
+    assert_eq!(probes.take_while(|line| line.line.starts_with(b"GD")).count(), 2);
+}
+
+#[tokio::test(start_paused = true)]
 async fn nothing_of_scip_2_is_sent_to_a_sensor_of_scip_1() {
     let emulator = numbered(Model::Urg04lx).firmware(Firmware::V31).build();
     let sensor: Sensor = builder().connect(emulator.clone()).await.unwrap();

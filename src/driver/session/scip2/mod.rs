@@ -116,6 +116,11 @@ fn is_laser_off(status: Status) -> bool {
     status.characters() == *b"10"
 }
 
+/// Returns true if a reply had the status of SCIP 1.1.
+fn is_in_scip1(error: &ErrorKind) -> bool {
+    matches!(error, ErrorKind::Malformed { source: MalformedError::Status { .. }, .. })
+}
+
 /// Creates a request to change the baud rate, without a label.
 pub(super) fn baud_rate_request(baud_rate: BaudRate) -> Request {
     Request::new(Command::BaudRate(baud_rate), None)
@@ -217,12 +222,17 @@ impl Scip2<'_> {
     pub(super) async fn probe(&mut self) -> Result<Status, ExchangeError> {
         let mut failure = LinkError::Silent(ErrorKind::disconnected(None));
         let tries = if self.line.is_searchable() { PROBES_AT_A_BAUD_RATE } else { PROBES };
+        let mut in_scip1 = 0;
         for _ in 0..tries {
             match self.probe_once(self.latency(&self.one_step())).await {
-                Err(ExchangeError::Command(error)) => failure = LinkError::Silent(error),
+                Err(ExchangeError::Command(error)) => {
+                    in_scip1 += usize::from(is_in_scip1(&error));
+                    failure = LinkError::Silent(error);
+                }
                 outcome => return outcome,
             }
-            if self.line.is_closing() {
+            // One may be damaged. A URG-04LX that has restarted answers nothing else.
+            if in_scip1 == 2 || self.line.is_closing() {
                 break;
             }
         }
