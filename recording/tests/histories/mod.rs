@@ -623,22 +623,37 @@ impl History {
     }
 }
 
+/// Runs the history of a seed. Returns its steps, and what went wrong.
+fn run(seed: u64) -> (Vec<Step>, Result<(), String>) {
+    let mut history = match History::new(seed) {
+        Ok(history) => history,
+        Err(Wrong(text)) => return (Vec::new(), Err(text)),
+    };
+    let outcome = history.run();
+    if seed < FOR_OTHERS && outcome.is_ok() {
+        history.write_for_others(seed);
+    }
+    let outcome = outcome.map_err(|Wrong(text)| format!("{:?}: {text}", history.steps));
+    (history.steps, outcome)
+}
+
 #[test]
 fn histories_lose_nothing_and_mix_nothing() {
     let seeds = seeds("URG_HISTORIES", 700);
     let count = seeds.end - seeds.start;
+    let threads = std::thread::available_parallelism().unwrap().get();
+    let outcomes = std::thread::scope(|scope| {
+        let part =
+            |thread| seeds.clone().skip(thread).step_by(threads).map(|seed| (seed, run(seed)));
+        let run_part = |thread| scope.spawn(move || part(thread).collect::<Vec<_>>());
+        let parts: Vec<_> = (0..threads).map(run_part).collect();
+        parts.into_iter().flat_map(|part| part.join().unwrap()).collect::<BTreeMap<_, _>>()
+    });
     let mut wrong: BTreeMap<String, (u64, u64, String)> = BTreeMap::new();
-    let mut steps = BTreeMap::new();
-    for seed in seeds {
-        let outcome = History::new(seed).and_then(|mut history| {
-            let outcome = history.run();
-            history.steps.iter().for_each(|step| *steps.entry(*step).or_insert(0_u64) += 1);
-            if seed < FOR_OTHERS && outcome.is_ok() {
-                history.write_for_others(seed);
-            }
-            outcome.map_err(|Wrong(text)| Wrong(format!("{:?}: {text}", history.steps)))
-        });
-        if let Err(Wrong(text)) = outcome {
+    let mut counts = BTreeMap::new();
+    for (seed, (steps, outcome)) in outcomes {
+        steps.into_iter().for_each(|step| *counts.entry(step).or_insert(0_u64) += 1);
+        if let Err(text) = outcome {
             // By the last step and what is wrong after it.
             let kind = text.split(']').take(1).flat_map(|steps| steps.rsplit([' ', '['])).next();
             let what = text.split("]: ").nth(1).unwrap_or_default();
@@ -648,7 +663,7 @@ fn histories_lose_nothing_and_mix_nothing() {
             wrong.entry(kind).or_insert((seed, 0, text)).1 += 1;
         }
     }
-    println!("{count} histories: {steps:?}");
+    println!("{count} histories: {counts:?}");
     for (kind, (seed, count, text)) in &wrong {
         println!("{count} times {kind}, first seed {seed}: {text:.600}");
     }
