@@ -108,6 +108,8 @@ pub(crate) struct SensorClock {
 struct Lines {
     /// Clock of the latest scan in seconds.
     clock: f64,
+    /// Seconds since the first scan.
+    age: f64,
     /// Arrivals by the sensor's clock.
     arrivals: Line,
     /// Ends of revolutions by their number.
@@ -147,8 +149,12 @@ impl SensorClock {
         let late = arrived - lines.arrivals.value;
         let deviation = lines.arrivals.deviation();
         let gate = GATE + 3.0 * deviation;
+        // Whole milliseconds are wrong by the same for many scans, so a line leads no further ahead than
+        // it is long, whatever its deviation.
+        let is_unknown = deviation > LARGEST_DEVIATION || passed > lines.age;
         // Nothing was sent before its stream began: the sensor has restarted meanwhile.
-        let is_lost = lines.is_used() && deviation > LARGEST_DEVIATION || late > longest + gate;
+        let is_lost = lines.is_used() && is_unknown || late > longest + gate;
+        lines.age += passed;
         // Not a number if rounding has made a determinant negative.
         if gate.is_nan() || late < -gate || passed > LONGEST_PAUSE || is_lost {
             self.jumps += u64::from(lines.is_used());
@@ -200,6 +206,7 @@ impl SensorClock {
     fn start(&mut self, clock: f64, arrived: f64) -> Revolution {
         self.lines = Some(Lines {
             clock,
+            age: 0.0,
             arrivals: Line::new(arrived, 1.0, RATE_DEVIATION),
             motor: Line::new(arrived, self.nominal, PERIOD_DEVIATION * self.nominal),
             count: 0,
