@@ -205,6 +205,8 @@ fn a_replay_invents_no_intensities() {
     for (option, has) in [("", false), ("--intensity", true)] {
         let file = Scratch::mcap("replayed");
         run(&format!("record {port} {} {option} --count 3", file.path()), 0);
+        let info = run(&format!("info {}", file.path()), 0).stdout;
+        assert_eq!(info.contains(" Hz, with intensities\n"), has, "{info}");
         let read = format!("stream {} --intensity --format ndjson --count 1", file.path());
         let output = run(&read, 0);
         let scan = scans(&output.stdout).remove(0);

@@ -47,7 +47,7 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
     let mut times = ScanTimes::new(rate);
     let mut windows = Windows::default();
     let (mut stamps, mut log_times) = (Clock::default(), Clock::default());
-    let (mut damaged_at, mut geometry) = (Vec::new(), None);
+    let (mut damaged_at, mut geometry, mut has_intensities) = (Vec::new(), None, false);
     // Same scans as in a replay.
     let mut recorded = recording.scans();
     while let Some(scan) = recorded.next() {
@@ -55,6 +55,7 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
             Ok(scan) => {
                 geometry.get_or_insert(*scan.geometry());
                 windows.add(scan.window());
+                has_intensities |= scan.intensities().is_some();
                 stamps.add(scan.times().stamp);
                 log_times.add(recorded.log_time());
                 times.add(recorded.position(), scan.times().stamp);
@@ -74,6 +75,7 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
     }
     let asked = windows.describe(window);
     let asked = rate.map(|rate| format!("{asked}, asked for at {rate}")).unwrap_or(asked);
+    let intensities = if has_intensities { ", with intensities" } else { "" };
     let mut end = Vec::new();
     if recorded.is_truncated() {
         end.push("its end is missing or damaged".to_owned());
@@ -93,7 +95,7 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
         }
     };
     let mut rows = vec![
-        ("scans", json!(scans), format!("{scans}{asked}")),
+        ("scans", json!(scans), format!("{scans}{asked}{intensities}")),
         left_out_row(&left_out),
         match log_times.stands() {
             true => ("gaps", Value::Null, "not known without log times".to_owned()),
