@@ -11,12 +11,13 @@ mod sensor;
 
 use std::time::Duration;
 
-use tokio_scip::protocol::Protocol::{Scip1, Scip2};
+use tokio_scip::protocol::Protocol::{self, Scip1, Scip2};
 use tokio_scip::{Rate, Window};
 
 use self::fate::{FATES, Fate, SCIP2_FATES};
 use self::line::{Cut, Depth};
 use self::scenario::{Deed, Scenario};
+use crate::common::random::times;
 
 /// Events that may happen besides.
 const DEEDS: &[Deed] = &[
@@ -38,15 +39,18 @@ fn setting(name: &str) -> Option<usize> {
     std::env::var(name).ok().map(|text| text.parse().unwrap())
 }
 
-/// Returns the number of exchanges with a choice, and how many of them may have a fault.
-fn depth() -> Depth {
-    let exchanges = setting("SCIP_EXHAUSTIVE").unwrap_or(3);
+/// Returns the number of exchanges with a choice, and how many of them may have a fault. On a desk
+/// fewer in SCIP 2, which has more fates.
+fn depth(protocol: Protocol) -> Depth {
+    let usual = if protocol == Scip2 && times() == 1 { 2 } else { 3 };
+    let exchanges = setting("SCIP_EXHAUSTIVE").unwrap_or(usual);
     Depth { exchanges, faults: setting("SCIP_EXHAUSTIVE_FAULTS").unwrap_or(exchanges) }
 }
 
 fn explore(scenario: &Scenario) {
-    let Depth { exchanges, faults } = depth();
-    let mut total = scenario.explore(depth(), None);
+    let depth = depth(scenario.protocols.1);
+    let Depth { exchanges, faults } = depth;
+    let mut total = scenario.explore(depth, None);
     // An event in each place multiplies the runs, so there are fewer faults.
     let depth = Depth { exchanges, faults: faults.saturating_sub(2).max(1) };
     for deed in scenario.deeds {
