@@ -183,7 +183,8 @@ async fn a_minute_of_a_ust_is_cut_and_repaired_in_little_memory() {
         let (whole, part) = (open(), open());
         let repaired = measure(|| {
             let scans = repair(whole, io::sink()).unwrap().scans;
-            assert_eq!(scans, 40 * seconds as u64);
+            // The sensor sends further ones while the disk is awaited.
+            assert!(scans >= 40 * seconds as u64, "{scans}");
         });
         let range = Duration::from_secs(20)..Duration::from_secs(40);
         let copied = measure(|| {
