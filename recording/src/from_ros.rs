@@ -136,8 +136,8 @@ fn ends(window: &Window) -> [[f64; 2]; 2] {
     [[middle, last], [first, f64::from(window.end())]]
 }
 
-/// Returns by how many steps the directions of a message differ from those of a stream, or `None` if
-/// they are different directions.
+/// Compares the directions of a message with those of a stream. Returns the rounding error in steps, or
+/// `None` if it is too large for the same directions.
 fn error(message: &LaserScan, Stream { model, window, .. }: &Stream) -> Option<f64> {
     let geometry = model.geometry();
     let [first, last] = [message.angle_min, message.angle_max].map(|angle| step(angle, &geometry));

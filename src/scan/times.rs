@@ -153,7 +153,7 @@ impl Scan {
         turned.saturating_add(self.meta.lateness.unwrap_or_default())
     }
 
-    /// Time that the motor needs for this number of half steps, at most that of a revolution.
+    /// Returns how long the motor takes to turn by `half_steps`. More than a revolution count as one.
     pub(crate) fn turn_time(&self, half_steps: u32) -> Duration {
         let revolution = 2 * u64::from(self.meta.geometry.steps_per_revolution());
         let half_steps = u64::from(half_steps).min(revolution);

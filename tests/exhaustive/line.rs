@@ -85,7 +85,7 @@ pub(crate) struct LineState {
     places: watch::Sender<usize>,
     /// Copy of a stream's scan that comes after the next one.
     held: Option<Packet>,
-    /// Place at which the link or the power is cut.
+    /// Place in the sequence, and what is cut there: the link or the power.
     cut: Option<(usize, Cut)>,
     /// True if what is on the line is lost before the port is opened again.
     is_unplugged: bool,

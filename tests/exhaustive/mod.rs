@@ -100,7 +100,8 @@ fn unlimited(name: &'static str, window: Window) -> Scenario {
     Scenario { streams: vec![(window, Rate::UNLIMITED)], ..on_a_grid(name, &[]) }
 }
 
-/// Returns a scenario in SCIP 2, in which the sensor streams unless the rate is low or the line slow.
+/// Returns a scenario in SCIP 2. At a high rate on a fast line the sensor sends a stream, otherwise it is
+/// polled.
 fn in_scip2(name: &'static str, streams: &[(Window, Rate)]) -> Scenario {
     Scenario {
         protocols: (Scip2, Scip2),

@@ -280,7 +280,7 @@ impl Layout {
             match mcap::parse_record(kind, content).unwrap() {
                 Record::DataEnd(end) => {
                     layout.summary.start = place.start;
-                    // Its kind may become that of a message.
+                    // One damaged byte makes a message of it.
                     layout.unproved.push(place.start..place.start + 1);
                     layout.has_sum = end.data_section_crc != 0 && layout.chunks.is_empty();
                 }

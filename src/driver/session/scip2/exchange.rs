@@ -63,7 +63,7 @@ impl Scip2<'_> {
         }
         let request = Request::new(command, self.state.labels.next_label());
         let outcome = self.ask_as(&request, latency, is_probe).await;
-        // A stream that the command has not ended goes on.
+        // If the stream still runs, its next scan has a deadline of its own.
         self.expect_scan();
         outcome
     }
