@@ -154,6 +154,15 @@ impl RequestQueue {
         }
     }
 
+    /// Returns true if the next request that has waited for a link switches the laser.
+    #[cold]
+    #[inline(never)]
+    pub(crate) fn begins_with_laser(&self) -> bool {
+        let mut waiting = self.waiting.iter().map(|waiting| &waiting.request);
+        let next = waiting.find(|request| !request.is_abandoned());
+        next.is_some_and(|request| matches!(**request, Request::Laser { .. }))
+    }
+
     /// Lets the requests that still wait begin to wait anew, because the link is lost.
     pub(crate) fn lose_link(&mut self) {
         let expires = Instant::now() + self.timeout;

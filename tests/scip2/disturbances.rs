@@ -69,6 +69,21 @@ async fn a_busy_sensor_does_not_confirm_that_its_laser_is_off() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_laser_is_switched_once_for_a_request_during_a_search() {
+    let emulator = numbered(Model::Ust10lx).build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    sensor.laser_off().await.unwrap();
+    let before = ["BM", "VV"].map(|command| commands(&emulator, command.as_bytes()));
+    emulator.unplug();
+    emulator.plug_in();
+    while commands(&emulator, b"VV") == before[1] {
+        sleep(Duration::from_millis(1)).await;
+    }
+    sensor.laser_on().await.unwrap();
+    assert_eq!(commands(&emulator, b"BM"), before[0] + 1);
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_stream_is_not_probed() {
     let emulator = numbered(Model::Urg04lxUg01).build();
     let probing = builder().idle_probe(Some(Duration::from_millis(100)));

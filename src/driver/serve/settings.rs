@@ -44,6 +44,10 @@ impl Service<'_> {
     pub(super) async fn apply_laser(&mut self, session: &mut Session) -> Result<bool, Stop> {
         let desired = self.queue.desired.laser;
         let Some(on) = desired.filter(|_| self.laser.is_due(desired)) else { return Ok(false) };
+        // The request does it next.
+        if self.queue.begins_with_laser() {
+            return Ok(false);
+        }
         let outcome = Box::pin(self.switch_laser(session, on, true)).await;
         ignore_command_errors(outcome)?;
         Ok(true)
