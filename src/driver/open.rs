@@ -169,8 +169,17 @@ impl Opener {
         laser: Option<bool>,
         limit: Duration,
     ) -> Result<(), LinkError> {
-        session.find(&self.baud_rates(), Instant::now() + limit).await?;
-        let identity = self.identify(session).await?;
+        let (end, mut was_found) = (Instant::now() + limit, false);
+        let identity = loop {
+            session.find(&self.baud_rates(), end).await?;
+            match self.identify(session).await {
+                // It answered a moment ago: no back-off is needed.
+                Err(ExchangeError::Command(error)) if !was_found && is_lost_reply(&error) => {
+                    was_found = true;
+                }
+                outcome => break outcome?,
+            }
+        };
         self.restore_baud_rate(session).await?;
         self.laser.restore(session, laser).await?;
         self.accept(identity);
@@ -259,4 +268,9 @@ impl Opener {
 fn fail(error: ErrorKind) -> LinkError {
     tracing::trace!(error = %ErrorChain(&error), "opening failed");
     LinkError::Lost(error)
+}
+
+/// Returns true if a reply did not arrive, or was damaged.
+fn is_lost_reply(error: &ErrorKind) -> bool {
+    matches!(error, ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. })
 }

@@ -84,6 +84,24 @@ async fn a_laser_is_switched_once_for_a_request_during_a_search() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_sensor_that_answered_is_identified_again() {
+    let lossy = Faults::none().on("PP", Fault::Lost);
+    let emulator = numbered(Model::Ust10lx).faults(lossy).build();
+    let mending = async {
+        while commands(&emulator, b"PP") < 2 {
+            sleep(Duration::from_millis(1)).await;
+        }
+        // It has lost both.
+        sleep(Duration::from_millis(500)).await;
+        emulator.set_faults(Faults::none());
+    };
+    // A link that cannot be opened again.
+    let (outcome, ()) = tokio::join!(builder().attach(emulator.link()), mending);
+    outcome.unwrap();
+    assert_eq!(commands(&emulator, b"PP"), 3);
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_stream_is_not_probed() {
     let emulator = numbered(Model::Urg04lxUg01).build();
     let probing = builder().idle_probe(Some(Duration::from_millis(100)));
