@@ -270,6 +270,35 @@ async fn t14_a_copy_on_a_slow_line_is_no_scan() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_stream_of_another_program_leaves_the_laser_as_it_was() {
+    for on in [true, false] {
+        let emulator = numbered(Model::Ust10lx).build();
+        let sensor = builder().connect(emulator.clone()).await.unwrap();
+        sensor.scan(Window::DETECTION).await.unwrap();
+        if !on {
+            sensor.laser_off().await.unwrap();
+        }
+        let stops = commands(&emulator, b"QT");
+        for _ in 0..2 {
+            emulator.inject("MD0000108001000\n99b\n\n");
+            sleep(Duration::from_secs(1)).await;
+        }
+        assert_eq!((commands(&emulator, b"QT"), emulator.is_laser_on()), (stops + 1, on));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn late_replies_are_no_stream() {
+    let late = Faults::none().on("BM", Fault::Late(Duration::from_millis(60)));
+    let emulator = numbered(Model::Ust10lx).faults(late).build();
+    let hasty = builder().reply_latency(Duration::from_millis(50));
+    let sensor = hasty.connect(emulator.clone()).await.unwrap();
+    let stops = commands(&emulator, b"QT");
+    sensor.scan(Window::DETECTION).await.unwrap();
+    assert_eq!(commands(&emulator, b"QT"), stops);
+}
+
+#[tokio::test(start_paused = true)]
 async fn d16_a_stream_that_goes_on_is_ended_again() {
     for model in [Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx] {
         let emulator = numbered(model).build();

@@ -102,8 +102,9 @@ impl Scip2<'_> {
             };
             let (mut times, wire_len) = (received.times, received.wire_len());
             let mut outcome = Err(None);
-            let mut is_streamed = false;
+            let (mut is_streamed, mut is_stream) = (false, false);
             if let FoundFrame::Reply(bytes) = received.frame() {
+                is_stream = is_of_a_stream(bytes);
                 let own = find_own(request, bytes, &times, baud_rate);
                 let answered = own.filter(|_| !is_probe).map(|_| *request);
                 self.line.observers.pass(|| raw_reply(bytes, answered, &times));
@@ -141,14 +142,14 @@ impl Scip2<'_> {
                     return Err(record_malformed(&self.line.shared, request, error, wire_len));
                 }
                 Err(None) if is_streamed => {}
-                Err(None) => self.record_stray(wire_len),
+                Err(None) => self.record_stray(wire_len, is_stream),
             }
         }
     }
 
-    /// Counts a frame that answers nothing of this session.
-    pub(super) fn record_stray(&mut self, wire_len: u64) {
-        self.state.has_stray_frames = true;
+    /// Counts a frame that answers nothing of this session now.
+    pub(super) fn record_stray(&mut self, wire_len: u64, is_stream: bool) {
+        self.state.has_stray_frames |= is_stream;
         self.line.shared.counters.stats().bytes_skipped += wire_len;
     }
 
@@ -168,6 +169,12 @@ impl Scip2<'_> {
         let wire_time = self.line.believed_baud_rate().map(|baud_rate| baud_rate.wire_time(bytes));
         wire_time.unwrap_or_default() + latency
     }
+}
+
+/// Returns true for the beginning of a scan that the sensor sends unasked. A late reply of this session
+/// begins with another command.
+pub(super) fn is_of_a_stream(frame: &[u8]) -> bool {
+    matches!(frame.first(), Some(b'M' | b'N'))
 }
 
 #[cold]

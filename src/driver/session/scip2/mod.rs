@@ -45,9 +45,11 @@ const ENTRIES: usize = 4;
 #[derive(Debug)]
 pub(super) struct State {
     labels: Labels,
-    /// True if a frame came that belongs to no request of this session: another program may have
-    /// left a stream.
+    /// True if the sensor may send a stream that belongs to no request of this session: another
+    /// program may have left it.
     has_stray_frames: bool,
+    /// True if the laser is to be on when such a stream was stopped.
+    keeps_laser: bool,
     /// Smallest selection that the sensor measures.
     one_step: Option<Steps>,
     geometry: Geometry,
@@ -71,6 +73,7 @@ impl State {
             // Random, so that no reply to an earlier process matches a request.
             labels: Labels::starting_at(fastrand::u64(..)),
             has_stray_frames: false,
+            keeps_laser: false,
             one_step: None,
             geometry: Geometry::URG_04LX,
             wants_intensities,
@@ -186,9 +189,13 @@ impl Scip2<'_> {
         Err(LinkError::Silent(silent).into())
     }
 
-    /// Stops a stream that the sensor may send unknown to this session.
+    /// Stops a stream that the sensor may send unknown to this session. The laser stays as it was set.
     pub(super) async fn stop_stray(&mut self) -> Result<(), ExchangeError> {
-        if self.state.has_stray_frames { self.stop().await } else { Ok(()) }
+        match (self.state.has_stray_frames, self.state.keeps_laser) {
+            (false, _) => Ok(()),
+            (true, true) => self.end_stream().await,
+            (true, false) => self.stop().await,
+        }
     }
 
     /// Reads the version once.
@@ -272,6 +279,7 @@ impl Scip2<'_> {
 
     /// Switches the laser, and checks by a probe whether the sensor measures.
     pub(super) async fn set_laser(&mut self, on: bool) -> Result<(), ExchangeError> {
+        self.state.keeps_laser = on;
         let command = if on { Command::LaserOn } else { Command::LaserOff };
         let status = match self.ask_twice(command).await {
             Ok(answer) => Some(text(answer.status)),

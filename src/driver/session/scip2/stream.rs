@@ -15,7 +15,7 @@ use super::super::super::schedule::StreamWish;
 use super::super::super::transport::{Expected, ReplyTimes};
 use super::super::errors::record_silence;
 use super::super::{Acquired, Streamed};
-use super::exchange::{accepted, find_own, raw_reply, record_malformed, refusal};
+use super::exchange::{accepted, find_own, is_of_a_stream, raw_reply, record_malformed, refusal};
 use super::{LIMITS, Scip2, State, acquired, steps};
 use crate::codec::FoundFrame;
 use crate::protocol::scip2::{
@@ -86,7 +86,7 @@ impl Scip2<'_> {
         self.state.has_stray_frames |= answer.is_err();
         let answer = accepted(&command, answer?)?;
         let running = Running { request, window, skipped, begun: answer.times.requested };
-        self.state.running = Some(running);
+        (self.state.running, self.state.keeps_laser) = (Some(running), true);
         // The first answer may be lost, and a scan come in its place.
         if let Content::Scan(scan) = answer.content {
             self.state.add_scan(running, scan, answer.times, &self.line.shared);
@@ -158,15 +158,16 @@ impl Scip2<'_> {
                 }
             };
             let (times, wire_len) = (received.times, received.wire_len());
-            let mut is_own = false;
+            let (mut is_own, mut is_stream) = (false, false);
             if let FoundFrame::Reply(bytes) = received.frame() {
                 let own = find_own(&request, bytes, &times, baud_rate).map(|_| request);
                 self.line.observers.pass(|| raw_reply(bytes, own, &times));
+                is_stream = is_of_a_stream(bytes);
                 is_own = self.state.take_streamed(bytes, &times, baud_rate, &self.line.shared);
             }
             drop(received);
             if !is_own {
-                self.record_stray(wire_len);
+                self.record_stray(wire_len, is_stream);
             }
             if self.state.waiting.len() > before {
                 self.expect_scan();
