@@ -43,6 +43,10 @@ use crate::port::{Port, PortHints};
 const READ_BUFFER_BYTES: usize = 1600;
 /// Room for any command, and the LF before it.
 const WRITE_BUFFER_BYTES: usize = 32;
+/// How late a timer fires at most, unless the whole program was stopped: by a signal, the suspend of a
+/// computer or the pause of a container. tokio may then see the timer before the bytes.
+const OVERSLEPT: Duration = Duration::from_millis(5);
+
 /// Open port and its buffers. Never flushes the port: bytes leave without it, and the reply
 /// proves that they did. Flushing a serial port would block the thread until the port is
 /// drained.
@@ -349,6 +353,12 @@ impl Transport {
     /// Fails at the deadline. Polled last, so that work succeeds if it is done at its deadline.
     fn poll_deadline<T>(&mut self, cx: &mut Context<'_>) -> Poll<Result<T, NoFrame>> {
         ready!(self.deadline_timer.poll(cx, self.deadline));
+        let now = Instant::now();
+        if now > self.deadline + OVERSLEPT {
+            // The program was stopped. What has come meanwhile is seen once tokio has asked the system.
+            self.deadline = now + OVERSLEPT;
+            ready!(self.deadline_timer.poll(cx, self.deadline));
+        }
         Poll::Ready(Err(NoFrame::Late { after: self.deadline - self.requested }))
     }
 

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use tokio::io::AsyncWriteExt;
 use tokio::task::coop::has_budget_remaining;
-use tokio::time::{sleep, timeout};
+use tokio::time::{advance, sleep, timeout};
 
 use super::super::failure::LinkError;
 use super::scripted_port::ScriptedPort;
@@ -145,6 +145,16 @@ async fn a_late_reply_is_seen_without_budget() {
     assert_eq!(received.unwrap().frame(), FoundFrame::Reply(&b"L0\n0"[..]));
     let outcome = transport.next_frame().await;
     assert!(matches!(outcome, Err(NoFrame::Late { .. })));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_reply_that_came_while_the_program_was_stopped_is_seen() {
+    let quiet = Err(io::ErrorKind::WouldBlock);
+    // tokio has not yet asked the system again when the deadline fires.
+    let reads = [quiet.clone(), quiet, Ok(b"V\n0\n\n".to_vec())].into();
+    let mut transport = on(ScriptedPort { reads, ..ScriptedPort::default() });
+    let (outcome, ()) = tokio::join!(transport.ask(b"V", &ANY, LIMIT), advance(50 * LIMIT));
+    assert!(outcome.is_ok());
 }
 
 #[tokio::test(start_paused = true)]
