@@ -357,7 +357,7 @@ impl Transport {
         if now > self.deadline + OVERSLEPT {
             // The program was stopped. What has come meanwhile is seen once tokio has asked the system.
             self.deadline = now + OVERSLEPT;
-            ready!(self.deadline_timer.poll(cx, self.deadline));
+            return self.poll_deadline(cx);
         }
         Poll::Ready(Err(NoFrame::Late { after: self.deadline - self.requested }))
     }
