@@ -29,7 +29,8 @@ pub(crate) struct LinkArgs {
     pub(crate) protocol: ProtocolName,
     /// Measure intensities, too, with a UTM or UST
     ///
-    /// JSON, CSV, the table and the messages of ROS have them. They double the length of a reply.
+    /// JSON, CSV, the table and the messages of ROS have them, and pictures show them as shades.
+    /// They double the length of a reply.
     #[arg(long)]
     pub(crate) intensity: bool,
     /// Wait for the sensor to appear, without a time limit

@@ -210,12 +210,26 @@ becomes "return radar.layers[0].reach" 6
 becomes "return radar.layers[0].geometry.max_distance" 60000
 becomes "return $(element marks).textContent" '"02468 m"'
 becomes "return radar.layers[0].codes[65533].kind" '"far"'
+becomes "return $(element colours).textContent" '"Distance"'
 picture ust
 stop other
-served "ust=$ust@0,0.5,0" urg=emulated@0,-0.5,0
+# Intensities are shades, and beside another sensor they are shades of the sensor's own colour.
+served "$ust" --intensity
+status Live
+becomes "return $(element colours).textContent + $(element marks).textContent" '"Intensity642561024409616384"'
+becomes "return [0, 127, 128, 8191, 8192, 262143].map(shade).join()" '"0,0,1,6,7,7"'
+js "const context = $(element radar).getContext('2d'), fill = context.fill; window.fills = new Set();
+    context.fill = function () { fills.add(this.fillStyle); fill.call(this); };" >"$work/answer"
+becomes "return radar.shades.null.some(colour => fills.has(colour)) && !radar.palette.some(colour => fills.has(colour))" true
+key "\\uE012"
+becomes "return /intensity [0-9]+$/.test($(element point).textContent)" true
+picture ust-intensities
+stop other
+served "ust=$ust@0,0.5,0" urg=emulated@0,-0.5,0 --intensity
 status Live
 becomes "return radar.layers.map(layer => layer.reach).join()" '"6,4.2"'
 becomes "return $(element identity).textContent" '"ust: UST-10LX · urg: SOKUIKI Sensor URG-04LX"'
+becomes "return radar.layers.map(layer => new Set(layer.scan.intensities?.map(shade)).size > 1).join()" '"true,false"'
 picture ust-and-urg
 stop other
 stop ust

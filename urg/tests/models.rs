@@ -4,7 +4,7 @@ use serde_json::Value;
 use tokio::io::AsyncWriteExt;
 use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
-use urg_emulator::{Emulator, Firmware, Model};
+use urg_emulator::{Emulator, Firmware, Model, Values, WorldTime};
 
 use super::formats::{scans, values};
 use super::program::{Scratch, run};
@@ -151,6 +151,24 @@ fn intensities_are_in_each_format_if_asked_for() {
     let line = served.get("/scans?max=1").line().unwrap();
     let served = &scans(&line)[0];
     assert_eq!(served["intensities"], Value::Array(reflected(&values(served))));
+}
+
+#[test]
+fn a_picture_shows_intensities_as_shades() {
+    // Intensities of 10,000 on the right, 2,500 on the left.
+    let world = |_: WorldTime, values: &mut Values| {
+        values.fill(7000);
+        values[..300].fill(1000);
+    };
+    let emulator = Emulator::builder().model(Model::Ust10lx).world(world).build();
+    let (_runtime, port) = on_tcp(emulator);
+    let svg = run(&format!("scan {port} --format svg --intensity"), 0).stdout;
+    let count = |class: &str| svg.matches(&format!("<circle class=\"{class}\"")).count();
+    assert_eq!((count("d7"), count("d5")), (300, 781));
+    assert!(svg.contains("Shades of intensity: 64 to 16384, each twice the last."), "{svg}");
+    assert!(svg.contains(".d0 { fill: #9087f6 }"), "{svg}");
+    let without = run(&format!("scan {port} --format svg"), 0).stdout;
+    assert!(!without.contains("#9087f6") && without.contains("A colour for each 1 m."));
 }
 
 #[test]

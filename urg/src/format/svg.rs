@@ -6,7 +6,7 @@ use std::fmt::{self, Write};
 use tokio_scip::{Point, Scan, Version};
 
 use super::time;
-use crate::plot::colours::{self, DISTANCES};
+use crate::plot::colours::{self, DISTANCES, INTENSITIES};
 use crate::plot::missing::MissingKind;
 use crate::plot::summary::ScanSummary;
 use crate::plot::{self, Anchor, Place, Sector};
@@ -89,7 +89,8 @@ impl Paper {
         for kind in MissingKind::ALL {
             writeln!(out, ".{} {{ stroke: {} }}", kind.name(), kind.colours().on_light)?;
         }
-        for (band, colours) in DISTANCES.iter().enumerate() {
+        let colours = if scan.intensities().is_some() { INTENSITIES } else { DISTANCES };
+        for (band, colours) in colours.iter().enumerate() {
             writeln!(out, ".d{band} {{ fill: {} }}", colours.on_light)?;
         }
         writeln!(out, "</style>")?;
@@ -179,9 +180,10 @@ impl Paper {
 
     /// Draws the points, the sensor, and a ring around the nearest point.
     fn points(&self, out: &mut String, scan: &Scan) -> fmt::Result {
-        for point in scan.points() {
+        let band = |range: f32| colours::band(range.into(), colours::width(self.reach));
+        for (point, shade) in plot::points(scan) {
             let (x, y) = self.at(plot::place(point.range.into(), point.angle.into()));
-            let band = colours::band(point.range.into(), colours::width(self.reach));
+            let band = shade.unwrap_or_else(|| band(point.range));
             writeln!(out, r#"<circle class="d{band}" cx="{x:.2}" cy="{y:.2}" r="0.45"/>"#)?;
         }
         let (x, y) = (self.x, self.y);
@@ -253,9 +255,13 @@ impl Paper {
             row(out, &format!(r#"<path class="track {}" d="M0 0H4"/>"#, kind.name()), &text)?;
         }
         y += 1.0;
+        let [weak, strong] = colours::SCALE;
+        let colours = match scan.intensities() {
+            Some(_) => format!("Shades of intensity: {weak} to {strong}, each twice the last."),
+            None => format!("A colour for each {} m.", colours::width(self.reach)),
+        };
         let about = format!(
-            "Seen from above, front up; angles counter-clockwise. A colour for each {} m. urg {}",
-            colours::width(self.reach),
+            "Seen from above, front up; angles counter-clockwise. {colours} urg {}",
             env!("CARGO_PKG_VERSION"),
         );
         label(out, "small", Anchor::Start, (5.0, y), &about)

@@ -39,6 +39,37 @@ pub(crate) const DISTANCES: [Colours; 8] = [
     Colours { on_light: "#6265c1", on_dark: "#adb5ff", indexed: 105 },
 ];
 
+/// Shades of intensities, weak to strong: violet, red, orange, in rising contrast with the ground,
+/// so that they differ even in grey. A terminal's ground is unknown: there they only get lighter.
+pub(crate) const INTENSITIES: [Colours; DISTANCES.len()] = [
+    Colours { on_light: "#9087f6", on_dark: "#6b5dcf", indexed: 61 },
+    Colours { on_light: "#a16dd7", on_dark: "#9961d1", indexed: 97 },
+    Colours { on_light: "#af54a9", on_dark: "#c965c2", indexed: 133 },
+    Colours { on_light: "#b23e74", on_dark: "#f06ea6", indexed: 169 },
+    Colours { on_light: "#ab2e3a", on_dark: "#ff8a8c", indexed: 204 },
+    Colours { on_light: "#8d3802", on_dark: "#ffab85", indexed: 209 },
+    Colours { on_light: "#6a3d02", on_dark: "#ffc791", indexed: 179 },
+    Colours { on_light: "#4f3900", on_dark: "#fee1a4", indexed: 214 },
+];
+/// Colours of the weaker half of intensities for each of [`SENSORS`], in a terminal.
+pub(crate) const WEAK_SENSORS: [u8; SENSORS.len()] = [31, 166, 28, 92, 161, 100];
+
+/// Binary logarithm of the intensity where the shades begin.
+///
+/// Intensities have 18 bits, and Hokuyo documents neither unit nor range. The filters of ROS call
+/// those below 100 dark, and start with bright ones at 8,000. So each shade doubles the last.
+/// A scale that followed the scan would change the shade of a wall with each reflector in sight.
+pub(crate) const WEAKEST: u32 = 6;
+
+/// Index of an intensity's colour in [`INTENSITIES`].
+pub(crate) fn shade(intensity: u32) -> usize {
+    let doubled = intensity.max(1).ilog2().saturating_sub(WEAKEST);
+    (doubled as usize).min(INTENSITIES.len() - 1)
+}
+
+/// Intensities at the ends of the shades' scale.
+pub(crate) const SCALE: [u32; 2] = [1 << WEAKEST, 1 << (WEAKEST + INTENSITIES.len() as u32)];
+
 /// Width of a band in a picture of this radius: half a metre for a URG-04LX.
 pub(crate) fn width(reach: f64) -> f64 {
     let covers = |width: &f64| width * DISTANCES.len() as f64 >= COVERED * reach;
@@ -60,6 +91,48 @@ mod tests {
     fn each_half_metre_has_a_colour() {
         let band = |metres| band(metres, width(4.2));
         assert_eq!([0.0, 0.49, 0.5, 3.99, 4.0, 99.0].map(band), [0, 0, 1, 7, 7, 7]);
+    }
+
+    #[test]
+    fn each_shade_doubles_the_intensity() {
+        let most = (1 << 18) - 1;
+        assert_eq!([0, 1, 64, 127, 128, 255].map(shade), [0, 0, 0, 0, 1, 1]);
+        assert_eq!([1024, 8191, 8192, 16_384, most].map(shade), [4, 6, 7, 7, 7]);
+        assert_eq!(SCALE, [64, 16_384]);
+    }
+
+    /// Contrast with white, as WCAG defines it, of a colour such as `#9087f6`.
+    fn contrast(colour: &str) -> f64 {
+        let linear = |part: u32| match f64::from(part) / 255.0 {
+            dark if dark <= 0.040_45 => dark / 12.92,
+            part => ((part + 0.055) / 1.055).powf(2.4),
+        };
+        let rgb = u32::from_str_radix(&colour[1..], 16).unwrap();
+        let [red, green, blue] = [16, 8, 0].map(|bits| linear(rgb >> bits & 255));
+        1.05 / (0.2126 * red + 0.7152 * green + 0.0722 * blue + 0.05)
+    }
+
+    /// Contrast with white of a colour of the 256-colour cube.
+    fn indexed(index: u8) -> f64 {
+        let level = |part| [0, 95, 135, 175, 215, 255][usize::from(index - 16) / part % 6];
+        contrast(&format!("#{:02x}{:02x}{:02x}", level(36), level(6), level(1)))
+    }
+
+    #[test]
+    fn shades_differ_without_hue() {
+        let grounds = [contrast("#ffffff"), contrast("#131b22")];
+        for pair in INTENSITIES.windows(2) {
+            let [weak, strong] = pair else { unreachable!() };
+            assert!(contrast(strong.on_light) > 1.1 * contrast(weak.on_light), "{strong:?}");
+            assert!(1.1 * contrast(strong.on_dark) < contrast(weak.on_dark), "{strong:?}");
+            assert!(indexed(strong.indexed) < indexed(weak.indexed), "{strong:?}");
+        }
+        // Readable on the ground, and in a terminal on black and on white.
+        assert!(contrast(INTENSITIES[0].on_light) / grounds[0] > 3.0);
+        assert!(grounds[1] / contrast(INTENSITIES[0].on_dark) > 3.0);
+        for index in INTENSITIES.map(|one| one.indexed).into_iter().chain(WEAK_SENSORS) {
+            assert!((1.8..7.0).contains(&indexed(index)), "{index}: {}", indexed(index));
+        }
     }
 
     #[test]

@@ -7,10 +7,11 @@ pub(crate) mod pose;
 pub(crate) mod summary;
 
 use std::f64::consts::FRAC_PI_2;
+use std::iter;
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::{Geometry, Scan, Window};
+use tokio_scip::{Geometry, Point, Scan, Window};
 
 /// Radii in metres of pictures that show less than the sensor can measure. A URG-04LX is always shown
 /// whole.
@@ -30,6 +31,14 @@ pub(crate) fn reach(scan: &Scan) -> f64 {
     let farthest = scan.points().map(|point| f64::from(point.range)).fold(0.0, f64::max);
     let whole = whole(scan.geometry());
     RADII.into_iter().find(|radius| *radius >= farthest).unwrap_or(whole).min(whole)
+}
+
+/// Iterates over the points, each with the index of its shade if the scan has intensities.
+pub(crate) fn points(scan: &Scan) -> impl Iterator<Item = (Point, Option<usize>)> + '_ {
+    let intensities = scan.intensities().unwrap_or_default().iter();
+    let shades = intensities.map(|intensity| Some(colours::shade(*intensity)));
+    let rays = scan.rays().zip(shades.chain(iter::repeat(None)));
+    rays.filter_map(|(ray, shade)| Some((ray.point()?, shade)))
 }
 
 /// Radius of a plot that follows the scans. It grows at once, and shrinks after [`HOLD`].

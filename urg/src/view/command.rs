@@ -33,6 +33,7 @@ Examples:
   urg view /dev/ttyACM0
   urg view /dev/ttyUSB0 --baud 115200 --cluster 2
   urg view front=/dev/ttyACM0@0.2,0,0 rear=serial:H0713091@-0.2,0,180
+  urg view tcp://192.168.0.10 --intensity       shades for strong and weak reflections
   urg view emulated --from -90deg --to 90deg
   urg view run.mcap --range 1:30..2:00 --loop   a part of a recording"
 }

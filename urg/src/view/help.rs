@@ -5,6 +5,7 @@ use std::fmt::Write;
 
 use ratatui::text::{Line, Span};
 
+use super::layer::Layer;
 use super::model::Model;
 use super::palette::Palette;
 use super::symbols::mark;
@@ -60,9 +61,17 @@ pub(super) fn text(model: &Model) -> String {
         text.extend(keys.into_iter().flatten().map(line));
     }
     text.push_str(&line(&QUIT));
-    text.push_str(match model.has_several() {
-        true => "Points have their sensor's colour;\n○ is the selected sensor's nearest.\n",
-        false => "Points are coloured by distance; ○ is the nearest.\n",
+    let has_intensities = model.layers.iter().any(Layer::has_intensities);
+    text.push_str(match (model.has_several(), has_intensities) {
+        (true, false) => {
+            "Points have their sensor's colour;\n○ is the selected sensor's nearest.\n"
+        }
+        (true, true) => {
+            "Points have their sensor's colour, darker\nwhere little light came back;\n\
+             ○ is the selected sensor's nearest.\n"
+        }
+        (false, false) => "Points are coloured by distance; ○ is the nearest.\n",
+        (false, true) => "Points are coloured by intensity; ○ is the nearest.\n",
     });
     text.push_str("At the rim, directions without a distance:");
     for kind in MissingKind::ALL {

@@ -63,6 +63,11 @@ impl Layer {
         self.scan.as_ref().map_or(&Geometry::URG_04LX, Scan::geometry)
     }
 
+    /// Checks whether the shown scan has intensities, which its points then show as shades.
+    pub(crate) fn has_intensities(&self) -> bool {
+        self.scan.as_ref().is_some_and(|scan| scan.intensities().is_some())
+    }
+
     /// Window of the shown scan, else the requested window.
     pub(crate) fn shown_window(&self) -> Window {
         self.scan.as_ref().map_or(self.window, Scan::window)

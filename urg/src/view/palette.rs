@@ -4,7 +4,7 @@ use std::ffi::OsString;
 
 use ratatui::style::{Color, Modifier, Style};
 
-use crate::plot::colours::{self, DISTANCES, SENSORS};
+use crate::plot::colours::{self, DISTANCES, INTENSITIES, SENSORS, WEAK_SENSORS};
 use crate::plot::missing::MissingKind;
 
 /// Whether a terminal supports colours. Terminals without 256 colours show the nearest of theirs.
@@ -43,6 +43,24 @@ impl Palette {
     /// Colour of a distance, for bands of this width.
     pub(crate) fn distance(self, metres: f64, width: f64) -> Color {
         self.distances().get(colours::band(metres, width)).copied().unwrap_or_default()
+    }
+
+    /// Shades of intensities, from weak to strong.
+    pub(crate) fn intensities(self) -> [Color; INTENSITIES.len()] {
+        INTENSITIES.map(|one| self.indexed(one.indexed))
+    }
+
+    /// Colour of a shade.
+    pub(crate) fn intensity(self, shade: usize) -> Color {
+        self.intensities().get(shade).copied().unwrap_or_default()
+    }
+
+    /// Colour of a point of a sensor among several: darker for the weaker half of the shades.
+    pub(crate) fn sensor_point(self, number: usize, shade: Option<usize>) -> Color {
+        match WEAK_SENSORS.get(number % WEAK_SENSORS.len()) {
+            Some(weak) if shade.is_some_and(|n| n < INTENSITIES.len() / 2) => self.indexed(*weak),
+            _ => self.sensor(number),
+        }
     }
 
     /// Colour of a sensor among several. `number` counts from 0. Colours repeat if there are

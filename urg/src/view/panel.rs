@@ -231,11 +231,17 @@ impl Panel<'_> {
         if self.palette == Palette::Plain {
             return Vec::new();
         }
-        let colors = self.palette.distances();
-        let mut spans = vec![Span::styled("0 ", Palette::quiet())];
+        let has_shades = self.layer.has_intensities();
+        let (colors, [least, most]) = if has_shades {
+            (self.palette.intensities(), colours::SCALE.map(|end| end.to_string()))
+        } else {
+            let colors = self.palette.distances();
+            let most = colours::width(self.layer.reach.metres) * colors.len() as f64;
+            (colors, ["0".to_owned(), format!("{most} m")])
+        };
+        let mut spans = vec![Span::styled(format!("{least} "), Palette::quiet())];
         spans.extend(colors.map(|color| Span::styled("██", Style::new().fg(color))));
-        let most = colours::width(self.layer.reach.metres) * colors.len() as f64;
-        spans.push(Span::styled(format!(" {most} m"), Palette::quiet()));
+        spans.push(Span::styled(format!(" {most}"), Palette::quiet()));
         vec![Line::from(spans)]
     }
 }

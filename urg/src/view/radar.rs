@@ -12,7 +12,7 @@ use ratatui::style::{Color, Modifier, Style};
 use ratatui::symbols::Marker;
 use ratatui::widgets::canvas::{Canvas, Context};
 use ratatui::{Frame, buffer::Buffer};
-use tokio_scip::Scan;
+use tokio_scip::{Point, Scan};
 
 use super::chart::{Chart, LabelSpace};
 use super::layer::Layer;
@@ -84,25 +84,28 @@ impl<'a> Radar<'a> {
         others.chain(layers().filter(move |(number, _)| *number == selected))
     }
 
-    /// Iterates over the places of a scan's points, and their ranges. The picture of a single
-    /// sensor ends at the rim.
-    fn places(&self, layer: &Layer, scan: &Scan) -> impl Iterator<Item = (Place, f64)> {
+    /// Iterates over the points of a scan, each with its shade. The picture of a single sensor ends
+    /// at the rim. Strong points come last, because a cell has the colour of its last point.
+    fn shaded(&self, scan: &Scan) -> impl Iterator<Item = (Point, Option<usize>)> {
         let rim = if self.model.is_common_frame() { f64::INFINITY } else { self.reach };
-        let points = scan.points().map(|point| (f64::from(point.range), f64::from(point.angle)));
-        let points = points.filter(move |(range, _)| *range <= rim);
-        points.map(|(range, angle)| (layer.place(range, angle), range))
+        let points = plot::points(scan).filter(|(point, _)| f64::from(point.range) <= rim);
+        let mut points: Vec<_> = points.collect();
+        points.sort_by_key(|(_, shade)| *shade);
+        points.into_iter()
     }
 
     fn points(&self, context: &mut Context<'_>) {
         for (number, layer) in self.layers() {
             context.layer();
-            for (place, range) in layer.scan.iter().flat_map(|scan| self.places(layer, scan)) {
-                let color = match self.model.is_live(layer) {
-                    false => self.palette.faint(),
-                    true if self.model.has_several() => self.palette.sensor(number),
-                    true => self.palette.distance(range, colours::width(layer.reach.metres)),
+            for (point, shade) in layer.scan.iter().flat_map(|scan| self.shaded(scan)) {
+                let range = point.range.into();
+                let color = match shade {
+                    _ if !self.model.is_live(layer) => self.palette.faint(),
+                    _ if self.model.has_several() => self.palette.sensor_point(number, shade),
+                    Some(shade) => self.palette.intensity(shade),
+                    None => self.palette.distance(range, colours::width(layer.reach.metres)),
                 };
-                self.chart.dot(context, place, color);
+                self.chart.dot(context, layer.place(range, point.angle.into()), color);
             }
         }
     }

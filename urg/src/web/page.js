@@ -125,9 +125,9 @@ function describe() {
   const { layer, angle } = radar.chosen ?? {};
   const index = indexOf(layer?.scan, angle ?? null);
   if (index === null) return setText(by("point"), "");
-  const { start, cluster, values } = layer.scan;
+  const { start, cluster, values, intensities } = layer.scan;
   const name = layer.name === null ? "" : `${layer.name} · `;
-  setText(by("point"), `${name}${direction(angleOf(layer.scan, index))} · ${meaning(layer, values[index]).text} · step ${start + index * cluster}`);
+  setText(by("point"), `${name}${direction(angleOf(layer.scan, index))} · ${meaning(layer, values[index]).text} · step ${start + index * cluster}${intensities ? ` · intensity ${intensities[index]}` : ""}`);
 }
 
 // Closes the stream of a hidden page, and replaces a lost stream.
@@ -236,19 +236,26 @@ by("fit").onclick = () => radar.fit();
 by("trail").onclick = trail;
 by("pause").onclick = pause;
 
-// Legend of the distances, drawn anew when their colours change.
+// Legend of the distances or intensities of a single sensor, drawn anew when their colours change.
 let drawn = null;
 function legend() {
   const { band } = radar;
-  const is = JSON.stringify([band, radar.palette]);
+  const shaded = Boolean(sensors[0]?.scan?.intensities);
+  const palette = shaded ? radar.shades.null : radar.palette;
+  const is = JSON.stringify([band, palette]);
   if (is === drawn) return;
   drawn = is;
-  [...by("marks").children].forEach((mark, n) => setText(mark, `${n * BANDS / 4 * band}${n === 4 ? " m" : ""}`));
-  setText(by("bands"), `Points have a colour for each ${band} m, from orange, near, to violet, ${BANDS * band} metres away.`);
+  setText(by("colours"), shaded ? "Intensity" : "Distance");
+  const mark = (n) => shaded ? 2 ** (WEAKEST + n) : n * band;
+  [...by("marks").children].forEach((element, n) =>
+    setText(element, `${mark(n * BANDS / 4)}${n === 4 && !shaded ? " m" : ""}`));
+  setText(by("bands"), shaded
+    ? `Points have a shade for each doubling of the intensity, from violet, ${mark(0)}, to orange, ${mark(BANDS)}.`
+    : `Points have a colour for each ${band} m, from orange, near, to violet, ${BANDS * band} metres away.`);
   const context = by("scale").getContext("2d");
   const width = context.canvas.width / BANDS;
   for (let n = 0; n < BANDS; n++) {
-    context.fillStyle = radar.palette[n];
+    context.fillStyle = palette[n];
     context.fillRect(n * width, 0, width, 10);
   }
 }

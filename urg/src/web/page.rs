@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use tokio_scip::Geometry;
 
 use super::response::{Response, text, whole};
-use crate::plot::colours::{COVERED, Colours, DISTANCES, SENSORS, WIDTHS};
+use crate::plot::colours::{COVERED, Colours, DISTANCES, INTENSITIES, SENSORS, WEAKEST, WIDTHS};
 use crate::plot::missing::MissingKind;
 use crate::plot::{self, HOLD, RADII};
 
@@ -35,7 +35,7 @@ pub(super) fn page() -> Response {
     let script = format!(
         "\"use strict\";\nconst KINDS = {};\nconst GEOMETRY = {};\nconst REACH = {};\n\
          const RADII = {};\nconst HOLD = {};\nconst WIDTHS = {};\nconst COVERED = {COVERED};\n\
-         const BANDS = {};\n{}",
+         const BANDS = {};\nconst WEAKEST = {WEAKEST};\n{}",
         kinds(),
         json!(Geometry::URG_04LX),
         plot::whole(&Geometry::URG_04LX),
@@ -70,7 +70,8 @@ fn colours(of: impl Fn(Colours) -> &'static str) -> String {
         let name = |(number, colours): (_, &_)| (format!("{prefix}{number}"), *colours);
         list.iter().enumerate().map(name).collect()
     };
-    let all = kinds.into_iter().chain(numbered('s', &SENSORS)).chain(numbered('d', &DISTANCES));
+    let numbers = [numbered('s', &SENSORS), numbered('d', &DISTANCES), numbered('i', &INTENSITIES)];
+    let all = kinds.into_iter().chain(numbers.into_iter().flatten());
     all.map(|(name, colours)| format!("--{name}: {}; ", of(colours))).collect()
 }
 
@@ -93,6 +94,6 @@ mod tests {
         let dark = colours(|colours| colours.on_dark);
         assert!(dark.starts_with("--far: #6ea8ff; --weak: "), "{dark}");
         assert!(dark.contains("--s0: #6cc5ff; --s1: #ffb057; "), "{dark}");
-        assert!(dark.ends_with("--d7: #adb5ff; "), "{dark}");
+        assert!(dark.contains("--d7: #adb5ff; --i0: #6b5dcf; "), "{dark}");
     }
 }

@@ -6,8 +6,8 @@
 // Each layer has what its sensor measures (geometry), its values that are no distance (codes), and
 // the radius of its sector (reach). The server defines them before the first scan (GEOMETRY, REACH),
 // the radii of smaller pictures (RADII) and how long one lasts (HOLD), the widths of bands that share
-// a colour (WIDTHS), the number of colours (BANDS), and the part of the radius that they cover
-// (COVERED).
+// a colour (WIDTHS), the number of colours (BANDS), the part of the radius that they cover
+// (COVERED), and the binary logarithm of the intensity where their shades begin (WEAKEST).
 
 // Directions without a distance are marked outside the sector, on one track per kind, in
 // pixels.
@@ -24,6 +24,9 @@ function meaning({ geometry, codes }, value) {
   if (value > geometry.max_distance) return { kind: "far", text: "no distance: saturated" };
   return { kind: "distance", distance: value / 1000, text: `${(value / 1000).toFixed(3)} m` };
 }
+
+// Shade of an intensity: each is twice the one before.
+const shade = (intensity) => Math.min(BANDS - 1, Math.max(0, 31 - Math.clz32(intensity) - WEAKEST));
 
 // Converts the index of a point to its direction in the sensor's frame, and back.
 const angleOf = (scan, index) => scan.angle_min + index * scan.angle_increment;
@@ -58,7 +61,13 @@ class Radar {
     this.theme = Object.fromEntries(
       ["ground", "sector", "ring", "text", "soft", "focus", "far", "weak", "none", "s0", "s1", "s2", "s3", "s4", "s5"]
         .map((name) => [name, value(name)]));
-    this.palette = Array.from({ length: BANDS }, (_, n) => value(`d${n}`));
+    const each = (colour) => Array.from({ length: BANDS }, (_, n) => colour(n));
+    this.palette = each((n) => value(`d${n}`));
+    this.shades = { null: each((n) => value(`i${n}`)) }; // by a layer's colour
+    for (let s = 0; s < 6; s++) {
+      const part = (n) => 30 + 70 * n / (BANDS - 1);
+      this.shades[`s${s}`] = each((n) => `color-mix(in oklab, ${value(`s${s}`)} ${part(n)}%, ${this.theme.sector})`);
+    }
   }
 
   // Metres that share a colour.
@@ -310,11 +319,14 @@ class Radar {
     const own = layer.stale ? this.theme.none : layer.colour ? this.theme[layer.colour] : null;
     if (own) context.fillStyle = own;
     const { band } = this;
+    const { intensities } = layer.stale ? {} : scan;
+    const shades = this.shades[layer.colour];
     scan.values.forEach((value, index) => {
       const { kind, distance } = meaning(layer, value);
       if (kind !== "distance") return;
       const [x, y] = this.place(layer, angleOf(scan, index), distance, view);
-      if (!own) context.fillStyle = this.colour(distance, band);
+      if (intensities) context.fillStyle = shades[shade(intensities[index])];
+      else if (!own) context.fillStyle = this.colour(distance, band);
       context.beginPath(); context.arc(x, y, size, 0, 2 * Math.PI); context.fill();
     });
   }

@@ -2,8 +2,9 @@
 
 use super::*;
 use tokio_scip::scan::Pose;
-use tokio_scip::{Error, ScanStream};
+use tokio_scip::{Error, Scan, ScanStream};
 
+use crate::plot::colours::{INTENSITIES, SENSORS, WEAK_SENSORS};
 use crate::view::Viewer;
 use crate::view::palette::Palette;
 
@@ -117,9 +118,49 @@ async fn each_model_has_its_own_sector() {
 
 #[tokio::test(start_paused = true)]
 async fn a_plain_terminal_gets_no_colours() {
-    let model = front_and_rear().await;
-    let terminal = terminal(&model, 80, 24, Palette::Plain);
-    assert!(terminal.backend().buffer().content().iter().all(|cell| cell.fg == Color::Reset));
+    for model in [front_and_rear().await, shaded().await] {
+        let terminal = terminal(&model, 80, 24, Palette::Plain);
+        assert!(terminal.backend().buffer().content().iter().all(|cell| cell.fg == Color::Reset));
+    }
+}
+
+/// Shows a weak wall around a sensor, with one strong point ahead.
+async fn shaded() -> Model {
+    let mut model = watched(ahead()).await;
+    let scan = Scan::builder(Window::DETECTION, [2000; 682]);
+    let intensities: Vec<_> = (44..726).map(|step| if step == 392 { 9000 } else { 100 }).collect();
+    model.scanned(0, scan.intensities(intensities).build().unwrap());
+    model
+}
+
+#[tokio::test(start_paused = true)]
+async fn intensities_are_shades() {
+    let cells =
+        |model: &Model, index| cells_in(model, Color::Indexed(index), Palette::Coloured).len();
+    let [weak, .., strong] = INTENSITIES.map(|colours| colours.indexed);
+    let mut model = shaded().await;
+    // The strong point is in sight, although later points fall into its cell.
+    assert_eq!(cells(&model, strong), 1);
+    assert!(cells(&model, weak) > 20);
+    let seen = screen(&model, 80, 24);
+    assert!(seen.contains("64 ████████████████ 16384"), "{seen}");
+    press(&mut model, KeyCode::Char('?'));
+    assert!(screen(&model, 80, 24).contains("coloured by intensity"));
+
+    // Beside a sensor without intensities, each keeps its colour.
+    let mut model = placed(&[("ust", pose(0.0, 3.0, 0.0)), ("urg", pose(0.0, -3.0, 0.0))]).await;
+    model.layers[0].scan = shaded().await.layers.remove(0).scan;
+    let [own, other, ..] = SENSORS.map(|colours| colours.indexed);
+    let [own_weak, other_weak, ..] = WEAK_SENSORS;
+    assert_eq!((cells(&model, own), cells(&model, other)), (1, 1));
+    assert!(cells(&model, own_weak) > 20);
+    assert_eq!((cells(&model, other_weak), cells(&model, weak)), (0, 0));
+    press(&mut model, KeyCode::Char('?'));
+    assert!(screen(&model, 80, 24).contains("colour, darker"));
+    press(&mut model, KeyCode::Esc);
+    assert!(cells(&model, own_weak) > 20);
+    press(&mut model, KeyCode::Char(' '));
+    assert_eq!(cells(&model, own_weak), 0, "a paused picture has no colours");
 }
 
 #[tokio::test(start_paused = true)]
