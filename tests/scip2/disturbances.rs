@@ -3,7 +3,10 @@
 
 use std::time::Duration;
 
-use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader, DuplexStream, duplex, split};
+use tokio::io::{
+    AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader, DuplexStream, copy_bidirectional,
+    duplex, split,
+};
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep, timeout};
 use tokio_scip::protocol::Protocol;
@@ -314,4 +317,24 @@ async fn d16_a_stream_that_goes_on_is_ended_again() {
         sleep(Duration::from_secs(1)).await;
         assert_eq!(emulator.counts().scans, sent, "{model:?}");
     }
+}
+
+#[tokio::test(start_paused = true)]
+async fn scans_that_a_server_had_kept_are_no_flood() {
+    let emulator = numbered(Model::Utm30lx).build();
+    let (near, mut far) = duplex(256 * 1024);
+    let mut link = emulator.link();
+    let server = async {
+        let mut command = [0; 16];
+        let read = far.read(&mut command).await.unwrap();
+        // 30 scans with intensities.
+        far.write_all(&[&[b'x'; 6715][..], b"\n\n"].concat().repeat(30)).await.unwrap();
+        link.write_all(&command[..read]).await.unwrap();
+        copy_bidirectional(&mut far, &mut link).await
+    };
+    let sensor = tokio::select! {
+        sensor = builder().attach(near) => sensor.unwrap(),
+        ended = server => panic!("{ended:?}"),
+    };
+    drop(sensor);
 }

@@ -11,8 +11,8 @@ use tokio::time::{Instant, sleep};
 use super::super::super::failure::{ExchangeError, LinkError};
 use super::super::super::transport::Transport;
 use super::super::errors::{malformed, no_reply, timeout};
-use super::Scip1;
 use super::exchange::expected;
+use super::{FIRST_LIMITS, Scip1};
 use crate::ErrorKind;
 use crate::RawReply;
 use crate::codec::FoundFrame;
@@ -118,7 +118,12 @@ impl Scip1 {
         let bytes = command.bytes();
         let within = self.wire_time(command) + latency;
         let late = |failure| no_reply(command, failure);
-        self.line.transport.send(&bytes, &expected(command, &bytes), within).await.map_err(late)?;
+        let mut expected = expected(command, &bytes);
+        if self.line.transport.latest_at().is_none() {
+            // A server may have kept scans of SCIP 2 for whoever connects next.
+            expected.limits = &FIRST_LIMITS;
+        }
+        self.line.transport.send(&bytes, &expected, within).await.map_err(late)?;
         let sent = self.line.transport.sent().to_vec();
         loop {
             let received = self.line.transport.next_frame().await.map_err(late)?;

@@ -26,9 +26,9 @@ use self::unique_requests::Widened;
 use super::super::failure::ExchangeError;
 use super::super::rarely::rarely;
 use super::super::transport::Limits;
-use super::Acquired;
 use super::errors::on_behalf_of;
 use super::line::Line;
+use super::{Acquired, scip2};
 use crate::codec::MAX_FRAME;
 use crate::protocol::{Command, Status, Text, Version};
 use crate::state::{KnownFrame, VersionReply};
@@ -36,6 +36,8 @@ use crate::{BaudRate, Window};
 
 /// A sensor answers a command with one frame of at most 1,576 bytes.
 pub(super) const LIMITS: Limits = Limits { frame: MAX_FRAME, frames: 64, bytes: 64 * 1024 };
+/// Before anything has answered.
+pub(super) const FIRST_LIMITS: Limits = Limits { frame: MAX_FRAME, ..scip2::LIMITS };
 /// How long after a reply a faulty line may deliver a copy of it.
 pub(super) const COPY_TIME: Duration = Duration::from_millis(20);
 
