@@ -145,11 +145,14 @@ impl Schedules {
         self.all.iter_mut().for_each(|schedule| schedule.is_streamed = false);
     }
 
-    /// Takes a poll for each schedule that a scan of the stream is for now. Grid points without a scan
-    /// do not count as skipped: the sensor sends when its motor has turned.
-    pub(crate) fn take_streamed(&mut self, now: Instant) -> Vec<DuePoll> {
+    /// Takes a poll for each schedule that a scan of the stream is for now. The scans come `period`
+    /// apart. Grid points without a scan do not count as skipped: the sensor sends when its motor has
+    /// turned.
+    pub(crate) fn take_streamed(&mut self, now: Instant, period: Duration) -> Vec<DuePoll> {
         let streamed = self.all.iter_mut().filter(|schedule| schedule.is_streamed);
-        let due = streamed.filter(|schedule| schedule.due <= now);
+        // A scan that is a little early is for the point that follows. Otherwise a motor that turns
+        // with the grid would lose one scan after the other to their jitter.
+        let due = streamed.filter(|schedule| schedule.due <= now + period / 2);
         due.map(|schedule| {
             schedule.advance(now);
             schedule.poll()

@@ -35,6 +35,27 @@ async fn a_late_poll_goes_out_at_once_and_the_next_one_is_on_the_grid_again() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_rate_in_step_with_the_motor_loses_no_scan() {
+    let start = Instant::now();
+    for turns in 1..=4 {
+        let rate = Rate::hz(10.0 / f64::from(turns));
+        let (mut schedules, _readers) = schedules(&[(Window::FULL, rate)]);
+        schedules.begin_stream(HUNDRED_MS);
+        // Each scan comes up to 2 ms before or after a point of the grid.
+        let mut random = 1_u64;
+        let taken = (1..1000).filter(|turn| {
+            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            let late = Duration::from_micros((random >> 33) % 4000);
+            let now = start + HUNDRED_MS * *turn + late - Duration::from_millis(2);
+            !schedules.take_streamed(now, HUNDRED_MS).is_empty()
+        });
+        // The first point is due at once.
+        let taken: Vec<_> = taken.skip(1).collect();
+        assert!(taken.windows(2).all(|pair| pair[1] - pair[0] == turns), "{turns}: {taken:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
 async fn what_has_been_due_for_longest_goes_first() {
     let start = Instant::now();
     let fast = (Window::FULL, Rate::hz(20.0));

@@ -8,6 +8,7 @@ use tokio::task::coop::consume_budget;
 use tokio::time::Instant;
 
 use super::super::failure::ExchangeError;
+use super::super::schedule::DuePoll;
 use super::super::session::Session;
 use super::{Service, Stop, command_error, ignore_command_errors};
 use crate::ErrorKind;
@@ -50,10 +51,15 @@ impl Service<'_> {
         Ok(if is_due { None } else { Some(true) })
     }
 
+    fn take_streamed(&mut self) -> Vec<DuePoll> {
+        let turns = u32::from(self.streamed.unwrap_or(0)) + 1;
+        self.schedules.take_streamed(Instant::now(), self.scan_time * turns)
+    }
+
     /// Ends the polls of the stream that are due now with an error.
     fn fail_streamed(&mut self, error: &ErrorKind) -> Result<(), Stop> {
         self.shared.counters.fail(self.shared.link.error(error.clone()));
-        for poll in self.schedules.take_streamed(Instant::now()) {
+        for poll in self.take_streamed() {
             self.shared.counters.count_poll();
             self.fail(poll, ExchangeError::Command(error.clone()), 0)?;
         }
@@ -105,7 +111,7 @@ impl Service<'_> {
                     continue;
                 }
             };
-            for poll in self.schedules.take_streamed(Instant::now()) {
+            for poll in self.take_streamed() {
                 self.shared.counters.count_poll();
                 // It may have been sent before the stream had this window.
                 if let Some(acquired) = streamed.cut(poll.window, &self.geometry) {
