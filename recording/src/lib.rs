@@ -102,6 +102,7 @@ mod mcap;
 mod messages;
 mod output;
 mod parts;
+mod pending;
 mod polls;
 mod progress;
 mod queue;

@@ -1,5 +1,6 @@
 //! [`Queue`]: hands messages from async code to the thread that writes the file, and bounds
-//! the waiting bytes. Also contains the thread. `held` holds messages back before that.
+//! the waiting bytes. Also contains the thread. Before that, `pending` holds replies back until their
+//! scans come, and `held` holds all messages until the trigger.
 
 use std::io::{self, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -17,6 +18,7 @@ use super::item::WriteItem;
 use super::mcap::Compression;
 use super::output::Output;
 use super::parts::{Limits, Parts};
+use super::pending::PendingReplies;
 use super::progress::Progress;
 use super::sync::Syncer;
 use super::writer::{LogClock, Writer};
@@ -33,6 +35,7 @@ const LOW_WATER_BYTES: usize = 1 << 20;
 #[derive(Debug)]
 pub(super) struct Queue {
     items: mpsc::Sender<WriteItem>,
+    pending: Mutex<PendingReplies>,
     /// Items before the trigger, if there is to be one.
     held: Mutex<Option<Held>>,
     /// Number of waiting bytes, or `None` once the thread has ended.
@@ -58,6 +61,7 @@ impl Queue {
         let (items, receiver) = mpsc::channel();
         let queue = Self {
             items,
+            pending: Mutex::default(),
             held: Mutex::new(before.map(|span| Held::new(span, HELD_BYTES))),
             waiting: watch::Sender::new(Some(0)),
             progress: Mutex::new(Progress { files: 1, ..Progress::default() }),
@@ -103,9 +107,14 @@ impl Queue {
         Ok(queue)
     }
 
-    /// Queues an item, or holds it until the trigger. If too many bytes wait already, or the
-    /// thread has ended, the item is lost and counted.
+    /// Takes the next item. If too many bytes wait already, or the thread has ended, the item is lost
+    /// and counted.
     pub(super) fn push(&self, item: WriteItem) {
+        self.pending().take(item, Instant::now().into_std(), |item| self.hold(item));
+    }
+
+    /// Queues an item, or holds it until the trigger.
+    fn hold(&self, item: WriteItem) {
         match self.held().as_mut() {
             Some(held) => held.push(item, Instant::now()),
             None => self.queue(item),
@@ -117,6 +126,11 @@ impl Queue {
         // Locked until the end, so that no later item overtakes one of them.
         let mut held = self.held();
         held.take().into_iter().flatten().for_each(|item| self.queue(item));
+    }
+
+    /// Locked until an item is queued, so that no later one overtakes it.
+    fn pending(&self) -> MutexGuard<'_, PendingReplies> {
+        self.pending.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn held(&self) -> MutexGuard<'_, Option<Held>> {
@@ -155,6 +169,7 @@ impl Queue {
     /// Ends the file after all queued items. The receiver resolves once the file is
     /// written, or with an error if the thread has ended before.
     pub(super) fn finish(&self) -> oneshot::Receiver<()> {
+        self.pending().end(|item| self.hold(item));
         let (done, finished) = oneshot::channel();
         // Fails if the thread has ended, and the file with it.
         let _ = self.items.send(WriteItem::Finish(done));

@@ -45,6 +45,10 @@ impl Recorder {
     ///
     /// A recorder observes one sensor: a second call ends the first observation. To record the
     /// replies with which a sensor is opened, set an [`observer`](Self::observer) instead.
+    ///
+    /// Two kinds of scans are left out once you have recorded a scan: those that a sensor in SCIP 2
+    /// sends beyond the rate of the stream, and those that came after the last recorded scan. So a
+    /// recording has exactly the scans of your stream, and those that you missed.
     pub fn observe(&mut self, sensor: &Sensor) {
         self.observation = None;
         self.observation = Some(sensor.observe_replies(self.observer()));

@@ -19,8 +19,7 @@ impl Recording {
     /// Reads the scans of the recorded stream, as the driver delivered them.
     ///
     /// They are decoded from the sensor's replies. So you also get scans that the
-    /// recording's own consumer missed, and the same ones as in a replay. A sensor in SCIP 2
-    /// may send more scans than the rate of the stream asks for: you get all that have its window. Refused and
+    /// recording's own consumer missed, and the same ones as in a replay. Refused and
     /// malformed replies are left out; find them in the events.
     ///
     /// Each has the geometry of its sensor: a URG-04LX in SCIP 1.1, otherwise what its reply to `PP`

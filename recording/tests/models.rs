@@ -4,6 +4,7 @@
 use std::io::Cursor;
 use std::time::Duration;
 
+use tokio::time::sleep;
 use tokio_scip::{Rate, Scan, Sensor, Window};
 use urg_emulator::Model;
 use urg_recording::{LeftOutReason, Recorder, Recording, cut, repair};
@@ -119,6 +120,40 @@ async fn scans_of_each_model_are_read_and_replayed() {
                     }
                 }
             }
+        }
+    }
+}
+
+/// A sensor in SCIP 2 sends more scans than some of these rates ask for. Each one sends more after
+/// the last recorded scan.
+#[tokio::test(start_paused = true)]
+async fn a_recording_has_the_scans_of_its_stream() {
+    for model in MODELS {
+        for (hz, missed) in
+            [3.0, 7.0, 10.0, 23.0, 30.0, 1000.0].into_iter().flat_map(|hz| [(hz, 0), (hz, 5)])
+        {
+            let sink = Sink::new();
+            let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+            let builder = Sensor::builder().depth(1 << 10);
+            let sensor = builder.connect(sensor_model(model)).await.unwrap();
+            recorder.observe(&sensor);
+            let mut scans = sensor.scans(Window::DETECTION, Rate::hz(hz)).await.unwrap();
+            let mut delivered = next(&mut recorder, &mut scans, 50).await;
+            for _ in 0..missed {
+                delivered.push(scans.next().await.unwrap().unwrap());
+            }
+            delivered.extend(next(&mut recorder, &mut scans, 50).await);
+            sleep(Duration::from_millis(300)).await;
+            recorder.finish().await.unwrap();
+            let stamps = |scans: &[Scan]| -> Vec<_> {
+                scans.iter().map(|scan| scan.times().stamp).collect()
+            };
+            let (mut found, expected) = (stamps(&read(&sink.bytes())), stamps(&delivered));
+            if missed > 0 {
+                // Nothing tells which ones the consumer has missed.
+                found.retain(|stamp| expected.contains(stamp));
+            }
+            assert_eq!(found, expected, "{model:?}, {hz} Hz, {missed} missed");
         }
     }
 }

@@ -1,5 +1,6 @@
 //! Recordings that are split into several files.
 
+use std::collections::VecDeque;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -159,8 +160,8 @@ async fn an_old_file_that_cannot_be_removed_is_told() {
     }
 }
 
-/// The consumer is always one scan behind, so that a scan is outstanding at each place
-/// where the file could be split.
+/// The consumer is so far behind that a scan is outstanding at each place where the file could be
+/// split.
 #[tokio::test(start_paused = true)]
 async fn a_slow_consumer_does_not_prevent_splitting() {
     let path = folder("split-behind").join("run.mcap");
@@ -169,10 +170,13 @@ async fn a_slow_consumer_does_not_prevent_splitting() {
     let builder = Sensor::builder().on_reply(recorder.observer()).depth(64);
     let sensor = builder.connect(sensor()).await.unwrap();
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
-    let mut before = stream.next().await.unwrap();
+    let mut behind = VecDeque::new();
+    while behind.len() < 8 {
+        behind.push_back(stream.next().await.unwrap());
+    }
     for _ in 0..100 {
-        let item = stream.next().await.unwrap();
-        recorder.record(&std::mem::replace(&mut before, item)).unwrap();
+        behind.push_back(stream.next().await.unwrap());
+        recorder.record(&behind.pop_front().unwrap()).unwrap();
     }
     recorder.finish().await.unwrap();
     let numbers: Vec<_> = parts(&path).iter().flat_map(|part| scans(&read(part))).collect();

@@ -248,6 +248,25 @@ fn a_connection_that_is_closed_may_be_a_sensor_that_boots() {
 }
 
 #[test]
+fn a_recording_has_as_many_scans_as_asked_for() {
+    let models = [Model::Urg04lx, Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx];
+    let record = |model, rate| {
+        let (_runtime, port) = on_tcp(Emulator::builder().model(model).build());
+        let file = Scratch::mcap("counted");
+        run(&format!("record {port} {} --count 30 {rate}", file.path()), 0);
+        let info = run(&format!("info {}", file.path()), 0).stdout;
+        assert!(info.contains("scans          30 of "), "{model:?} {rate}\n{info}");
+    };
+    std::thread::scope(|scope| {
+        for model in models {
+            for rate in ["", "--rate 10", "--rate 7", "--rate 30", "--rate max"] {
+                scope.spawn(move || record(model, rate));
+            }
+        }
+    });
+}
+
+#[test]
 fn a_recording_of_a_model_is_read_as_the_sensor() {
     let (_runtime, port) = ust();
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! `urg record`: records scans, and every reply of the sensor, into a file. `limits` parses its
+//! `urg record`: records scans, and the replies of the sensor, into a file. `limits` parses its
 //! options, `trigger` waits for the trigger of `--before`, `writing` writes the file, and `totals`
 //! formats its progress.
 
@@ -30,7 +30,7 @@ use crate::stream::feed::{Feed, Update, check_window};
 use crate::stream::follow::follow;
 use crate::stream::reporter::Reporter;
 
-/// Record scans, and every reply of the sensor, into a file
+/// Record scans, and the replies of the sensor, into a file
 ///
 /// Runs until Ctrl-C, --count or --duration. Unplug the sensor and plug it back in:
 /// recording resumes. If the program is killed or the disk fills up, you lose at most
@@ -169,12 +169,6 @@ impl Record {
     ) -> Result<(), Failure> {
         let take = async |update| writing.take(update);
         let followed = follow(&mut feed, &self.pace, interrupt, take).await;
-        // Scans whose replies are in the file already.
-        while followed.is_ok()
-            && let Some(update) = feed.ready()
-        {
-            writing.take(update)?;
-        }
         writing.finish(followed, interrupt).await
     }
 

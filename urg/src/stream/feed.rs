@@ -2,7 +2,6 @@
 
 use std::collections::VecDeque;
 
-use futures_util::FutureExt;
 use serde::Serialize;
 use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Window};
 use urg_recording::{Event, Events};
@@ -86,11 +85,6 @@ impl Feed {
     /// Newest scan, delivered or not.
     pub(crate) fn latest(&self) -> Option<Scan> {
         self.scans.latest()
-    }
-
-    /// Returns the next update if it is there already.
-    pub(crate) fn ready(&mut self) -> Option<Update> {
-        self.next().now_or_never().flatten()
     }
 
     /// Makes this the next update again.

@@ -76,6 +76,7 @@ async fn end(pace: &PaceArgs, interrupt: &Interrupt) -> (StreamEnd, Instant) {
 mod tests {
     use std::time::Duration;
 
+    use futures_util::FutureExt;
     use tokio_scip::{Rate, Sensor, Window};
     use urg_emulator::Emulator;
 
@@ -102,7 +103,9 @@ mod tests {
             follow(&mut feed, &pace, &interrupt, slowly).await.unwrap(),
             StreamEnd::Complete
         );
-        let Some(Update::Scan(next)) = feed.ready() else { panic!("no scan after {taken:?}") };
+        let Some(Update::Scan(next)) = feed.next().now_or_never().flatten() else {
+            panic!("no scan after {taken:?}")
+        };
         assert!(next.received_at() > begin + duration);
         assert_eq!(taken, [0]);
     }

@@ -1,0 +1,96 @@
+//! [`PendingReplies`]: replies that wait for their scans, so that a recording has the scans of its
+//! stream and no more.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use tokio_scip::{Scan, Window};
+
+use super::item::WriteItem;
+use super::reply::RecordedReply;
+
+/// Longest time that a reply waits for a consumer that is behind.
+const MAX_WAIT: Duration = Duration::from_millis(500);
+/// Largest number of bytes that wait.
+const MAX_BYTES: usize = 1 << 20;
+
+/// Replies since the latest scan, in the order in which they came.
+///
+/// In SCIP 2 a sensor may send more scans than the rate of the stream asks for. When a scan comes,
+/// earlier replies of the sensor's stream are dropped, unless the consumer has missed scans.
+#[derive(Debug, Default)]
+pub(super) struct PendingReplies {
+    /// Window and number of the latest scan. No reply waits before the first one: perhaps nobody
+    /// records scans.
+    latest: Option<(Window, u64)>,
+    replies: VecDeque<WriteItem>,
+    bytes: usize,
+}
+
+impl PendingReplies {
+    /// Takes the next item, and passes on what is to be written now.
+    pub(super) fn take(&mut self, item: WriteItem, now: Instant, mut write: impl FnMut(WriteItem)) {
+        match item {
+            WriteItem::Reply { .. } if self.latest.is_some() => {
+                self.bytes += item.weight();
+                self.replies.push_back(item);
+                while self.bytes > MAX_BYTES || self.is_overdue(now) {
+                    self.pop().into_iter().for_each(&mut write);
+                }
+            }
+            WriteItem::Scan(scan) => {
+                self.write_replies_to(&scan, &mut write);
+                write(WriteItem::Scan(scan));
+            }
+            item => {
+                while let Some(reply) = self.pop() {
+                    write(reply);
+                }
+                write(item);
+            }
+        }
+    }
+
+    /// Drops the scans that nobody has taken, at the end of the recording, and passes on the rest.
+    pub(super) fn end(&mut self, mut write: impl FnMut(WriteItem)) {
+        while let Some(reply) = self.pop() {
+            if !has_scan(&reply, |_| true) {
+                write(reply);
+            }
+        }
+    }
+
+    /// Passes on the reply with this scan, and those before it.
+    fn write_replies_to(&mut self, scan: &Scan, mut write: impl FnMut(WriteItem)) {
+        let (window, number) = (scan.window(), scan.sequence());
+        let before = number.checked_sub(1).map(|before| (window, before));
+        let is_next = self.latest.replace((window, number)) == before;
+        let is_its_own = |reply: &WriteItem| matches!(reply, WriteItem::Reply { times, .. } if times.wall == scan.times().stamp);
+        let Some(place) = self.replies.iter().position(is_its_own) else { return };
+        for _ in 0..place {
+            let reply = self.pop();
+            let reply =
+                reply.filter(|reply| !(is_next && has_scan(reply, RecordedReply::is_streamed)));
+            reply.into_iter().for_each(&mut write);
+        }
+        self.pop().into_iter().for_each(write);
+    }
+
+    fn pop(&mut self) -> Option<WriteItem> {
+        let reply = self.replies.pop_front()?;
+        self.bytes -= reply.weight();
+        Some(reply)
+    }
+
+    fn is_overdue(&self, now: Instant) -> bool {
+        let Some(WriteItem::Reply { times, .. }) = self.replies.front() else { return false };
+        now.saturating_duration_since(times.steady) > MAX_WAIT
+    }
+}
+
+/// Checks whether a reply has a scan, and is one that `is_meant`.
+fn has_scan(reply: &WriteItem, is_meant: impl Fn(&RecordedReply) -> bool) -> bool {
+    let WriteItem::Reply { request, bytes, times } = reply else { return false };
+    let reply = RecordedReply::new(request, &[bytes, &b"\n\n"[..]].concat(), times.wall);
+    is_meant(&reply) && reply.values().is_some()
+}
