@@ -151,7 +151,7 @@ impl StreamPolls {
                 if let Some(parameters) = reply.parameters() {
                     self.told = Some(parameters.into());
                 }
-                let model = if reply.command.is_some() { None } else { self.told.clone() };
+                let model = if reply.command.is_some() { None } else { self.model_of(&reply) };
                 // Without its sensor, a scan is made of its message.
                 let Some(window) = reply.window(model.as_ref()) else { return };
                 let model = model.unwrap_or_default();
@@ -219,6 +219,15 @@ impl StreamPolls {
         }
     }
 
+    /// Returns the sensor of a reply in SCIP 2: the one whose stream asks for it, or else the latest.
+    fn model_of(&self, reply: &RecordedReply) -> Option<Model> {
+        let models = self.streams.iter().rev().filter(|stream| {
+            let asked = reply.window(Some(&stream.model).filter(|model| model.0.is_some()));
+            asked.is_some_and(|asked| asked == stream.window)
+        });
+        models.map(|stream| stream.model.clone()).next().or_else(|| self.told.clone())
+    }
+
     /// Returns true for a scan of a stream that the line has delivered twice.
     fn is_known(&mut self, poll: &PollReply) -> bool {
         let Answer::Reply(reply) = &poll.answer else { return false };
@@ -232,12 +241,17 @@ impl StreamPolls {
         is_known
     }
 
-    /// Returns the window of the stream that a poll belongs to. The latest description counts.
+    /// Returns the window of the stream that a poll belongs to. The latest description of its sensor
+    /// counts.
     fn stream_of(&mut self, poll: &PollReply) -> Option<Window> {
         match self.streams.iter().rposition(|stream| poll.is_of(stream)) {
             Some(place) => {
-                self.streams.drain(..place);
-                self.streams.front().map(|stream| stream.window)
+                let window = self.streams.get(place).map(|stream| stream.window);
+                let mut places = 0..;
+                self.streams.retain(|stream| {
+                    places.next() >= Some(place) || !stream.model.is_like(&poll.model)
+                });
+                window
             }
             // Of messages alone all belong together.
             None => {

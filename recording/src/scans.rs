@@ -12,6 +12,7 @@ use super::left_out::{LeftOutCounter, LeftOutReason};
 use super::mcap::ChunkBytes;
 use super::polls::{PollReply, Polls};
 use super::reply::Values;
+use super::stream::Model;
 use super::{Recording, RecordingError};
 use tokio_scip::{Scan, Version};
 
@@ -77,6 +78,8 @@ impl Recording {
             log_time: SystemTime::UNIX_EPOCH,
             previous: None,
             started: None,
+            sensor: None,
+            is_of_one_sensor: false,
             has_polls: false,
             is_over: false,
         }
@@ -94,6 +97,9 @@ pub struct RecordedScans {
     previous: Option<Values>,
     /// Log time of the first scan, and the instant it gets.
     started: Option<(SystemTime, Instant)>,
+    /// First sensor, and whether to leave out all others.
+    sensor: Option<Model>,
+    is_of_one_sensor: bool,
     has_polls: bool,
     is_over: bool,
 }
@@ -136,6 +142,13 @@ impl RecordedScans {
         self
     }
 
+    /// Leaves out the scans of all other laser scanners than the first, as a replay does.
+    #[must_use]
+    pub fn of_one_sensor(mut self) -> Self {
+        self.is_of_one_sensor = true;
+        self
+    }
+
     /// Log time of the latest scan.
     pub fn log_time(&self) -> SystemTime {
         self.log_time
@@ -166,6 +179,11 @@ impl RecordedScans {
             }
             return None;
         };
+        let sensor = self.sensor.get_or_insert_with(|| poll.model.clone());
+        if self.is_of_one_sensor && !poll.model.is_like(sensor) {
+            self.left_out().add(LeftOutReason::OtherLaser, window);
+            return None;
+        }
         let (first, began) = *self.started.get_or_insert_with(|| (poll.at, Instant::now()));
         let since = poll.at.duration_since(first).unwrap_or_default();
         let mut scan = Scan::builder(window, values.distances.as_slice())

@@ -267,6 +267,48 @@ fn a_recording_has_as_many_scans_as_asked_for() {
 }
 
 #[test]
+fn a_recording_of_two_sensors_is_read_as_the_first() {
+    let models = [(Model::Urg04lx, "H1"), (Model::Ust10lx, "U2")];
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    std::thread::scope(|scope| {
+        for (model, number) in models {
+            let file = path(&format!("{number}.mcap"));
+            scope.spawn(move || {
+                let sensor = Emulator::builder().model(model).serial_number(number).build();
+                let (_runtime, port) = on_tcp(sensor);
+                run(&format!("record {port} {file} --duration 2s"), 0);
+            });
+        }
+    });
+    let both = path("both.mcap");
+    run(&format!("cut {} {} {both}", path("H1.mcap"), path("U2.mcap")), 0);
+
+    let streamed = run(&format!("stream {both} --rate max --format ndjson"), 0);
+    let all = scans(&streamed.stdout);
+    let info = run(&format!("info {both} --format json"), 0).stdout;
+    let info: Value = serde_json::from_str(&info).unwrap();
+    assert_eq!(info["scans"], all.len());
+    let last_step = &info["geometry"]["last_step"];
+    let number = match last_step.as_u64() {
+        Some(1080) => "U2",
+        _ => "H1",
+    };
+    assert_eq!(info["version"]["serial_number"], number);
+    let alone = run(&format!("info {} --format json", path(&format!("{number}.mcap"))), 0).stdout;
+    let alone: Value = serde_json::from_str(&alone).unwrap();
+    for key in ["scans", "geometry", "version", "losses", "gaps", "revolution"] {
+        assert_eq!(info[key], alone[key], "{key}");
+    }
+    let text = run(&format!("info {both}"), 0).stdout;
+    let left_out = text.lines().find_map(|row| row.strip_prefix("left out ")).unwrap().trim();
+    assert!(left_out.contains(" of other laser scanners"), "{left_out}");
+    for said in [&streamed.stderr, &run(&format!("check {both}"), 0).stdout] {
+        assert!(said.contains(left_out), "{said}");
+    }
+}
+
+#[test]
 fn a_recording_of_a_model_is_read_as_the_sensor() {
     let (_runtime, port) = ust();
     let folder = tempfile::tempdir().unwrap();

@@ -49,7 +49,7 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
     let (mut stamps, mut log_times) = (Clock::default(), Clock::default());
     let (mut damaged_at, mut geometry, mut has_intensities) = (Vec::new(), None, false);
     // Same scans as in a replay.
-    let mut recorded = recording.scans();
+    let mut recorded = recording.scans().of_one_sensor();
     while let Some(scan) = recorded.next() {
         match scan {
             Ok(scan) => {
@@ -107,7 +107,11 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
                 ("losses", Value::Null, "not recorded".to_owned())
             }
             0 => ("losses", json!(0), "none".to_owned()),
-            _ => ("losses", json!(losses), counted(losses, "poll") + " without a scan"),
+            _ => {
+                // Nothing tells which one.
+                let of = if recorded.serial_numbers().len() > 1 { " of all sensors" } else { "" };
+                ("losses", json!(losses), counted(losses, "poll") + " without a scan" + of)
+            }
         },
         ("complete", json!(complete), end),
     ];
