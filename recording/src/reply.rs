@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::time::SystemTime;
 
 use super::stream::Model;
-use tokio_scip::protocol::scip2::{self, Content, Label, Parameters, Request, Stamp, Steps};
+use tokio_scip::protocol::scip2::{self, Content, Data, Label, Parameters, Request, Stamp, Steps};
 use tokio_scip::protocol::{Command, Reply};
 use tokio_scip::{BaudRate, Geometry, Window};
 
@@ -217,18 +217,17 @@ pub(super) fn identity_command(request: &str) -> Option<&'static str> {
 }
 
 /// Parses a command of SCIP 1.1.
-pub(super) fn parse_command(text: &str) -> Option<Command> {
-    if let Some(digits) = digits(text, "G", 8) {
-        let number = |range: Range<usize>| digits.get(range)?.parse::<u16>().ok();
-        let window = Window::new(number(0..3)?..=number(3..6)?).ok()?;
-        let cluster = number(6..8)?.try_into().ok()?;
-        let command = window.with_cluster_count(cluster).ok().map(Command::Distances);
-        // A window may have more steps than a `G` can name.
-        return command.filter(|command| command.to_string() == text);
-    }
+fn parse_command(text: &str) -> Option<Command> {
+    let number = |digits: Range<usize>| text.get(digits)?.parse::<u16>().ok();
+    let distances = || {
+        let window = Window::new(number(1..4)?..=number(4..7)?).ok()?;
+        window.with_cluster_count(number(7..9)?.try_into().ok()?).ok().map(Command::Distances)
+    };
     let fixed = [Command::Version, Command::LaserOn, Command::LaserOff];
-    let speeds = BaudRate::ALL.into_iter().map(Command::BaudRate);
-    fixed.into_iter().chain(speeds).find(|command| command.to_string() == text)
+    let speeds = BaudRate::ALL.map(Command::BaudRate);
+    let mut known = distances().into_iter().chain(fixed).chain(speeds);
+    // A window may have more steps than a `G` can name.
+    known.find(|command| command.to_string() == text)
 }
 
 /// Parses a request of SCIP 2, of those that a driver sends.
@@ -238,40 +237,25 @@ fn parse_request(text: &str) -> Option<Request> {
         Some((text, label)) => (text, Some(Label::new(label).ok()?)),
         None => (text, None),
     };
-    for data in [scip2::Data::Distances, scip2::Data::Intensities] {
-        let letters = if data == scip2::Data::Distances { "GD" } else { "GE" };
-        if let Some(digits) = digits(text, letters, 10) {
-            let number = |range: Range<usize>| digits.get(range)?.parse::<u16>().ok();
-            let steps = Steps::new(number(0..4)?..=number(4..8)?).ok()?;
-            let steps = steps.with_cluster_count(number(8..10)?.try_into().ok()?).ok()?;
-            return Some(Request::new(C::Latest { data, steps }, label));
-        }
-        let letters = if data == scip2::Data::Distances { "MD" } else { "ME" };
-        if let Some(digits) = digits(text, letters, 13) {
-            let number = |range: Range<usize>| digits.get(range)?.parse::<u16>().ok();
-            let steps = Steps::new(number(0..4)?..=number(4..8)?).ok()?;
-            let steps = steps.with_cluster_count(number(8..10)?.try_into().ok()?).ok()?;
-            let stream = scip2::Stream::new(data, steps).skipping(number(10..11)?.try_into().ok()?);
-            return Some(Request::new(C::Stream(stream.ok()?), label))
-                .filter(|_| digits.ends_with("00"));
-        }
-    }
+    let number = |digits: Range<usize>| text.get(digits)?.parse::<u16>().ok();
+    let scans = |data| {
+        let steps = Steps::new(number(2..6)?..=number(6..10)?).ok()?;
+        let steps = steps.with_cluster_count(number(10..12)?.try_into().ok()?).ok()?;
+        let Some(skipped) = number(12..13) else { return Some(C::Latest { data, steps }) };
+        let stream = scip2::Stream::new(data, steps).skipping(skipped.try_into().ok()?);
+        stream.ok().map(C::Stream)
+    };
+    let scans = [Data::Distances, Data::Intensities].into_iter().filter_map(scans);
     let fixed = [C::Version, C::Parameters, C::State, C::StateCode, C::LaserOn, C::LaserOff];
-    let speeds = BaudRate::ALL.into_iter().map(C::BaudRate);
-    let command = fixed.into_iter().chain(speeds).find(|command| command.to_string() == text)?;
+    let speeds = BaudRate::ALL.map(C::BaudRate);
+    let mut known = scans.chain(fixed).chain(speeds);
+    let command = known.find(|command| command.to_string() == text)?;
     Some(Request::new(command, label))
-}
-
-/// Returns the digits of a command of these letters and this number of digits.
-fn digits<'a>(text: &'a str, letters: &str, count: usize) -> Option<&'a str> {
-    let digits = text.strip_prefix(letters)?;
-    (digits.len() == count && digits.bytes().all(|byte| byte.is_ascii_digit())).then_some(digits)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tokio_scip::protocol::scip2::Data;
 
     #[test]
     fn every_command_parses_back_from_its_text() {
