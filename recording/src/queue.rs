@@ -21,7 +21,7 @@ use super::parts::{Limits, Parts};
 use super::pending::PendingReplies;
 use super::progress::Progress;
 use super::sync::Syncer;
-use super::writer::{LogClock, Writer};
+use super::writer::Writer;
 
 /// Largest number of bytes that wait for a slow disk. At 10 scans per second, this takes
 /// about three minutes. Of a UST it takes 20 s.
@@ -93,9 +93,8 @@ impl Queue {
             }
         };
         let parts = Parts::new(limits, path, current, further);
-        let clock = LogClock::starting_now();
-        let writer = Writer::new(first, parts, clock, frame_id, compression)
-            .map_err(RecordingError::write)?;
+        let writer = Writer::new(first, parts, frame_id, compression);
+        let writer = writer.map_err(RecordingError::write)?;
         let thread = {
             let queue = Arc::clone(&queue);
             move || queue.end(write_all(writer, &receiver, &queue))
@@ -306,8 +305,6 @@ impl Write for Counted {
 
 #[cfg(test)]
 mod tests {
-    use std::time::{Instant, SystemTime};
-
     use futures::FutureExt as _;
 
     use super::super::output::Durable;
@@ -352,9 +349,8 @@ mod tests {
     fn ready_returns_for_items_pushed_while_the_thread_ends() {
         let (queue, _receiver) = Queue::new(None, None);
         let push = || {
-            let times = Times { steady: Instant::now(), wall: SystemTime::now() };
             let json = "x".repeat(LOW_WATER_BYTES);
-            queue.push(WriteItem::Event { json, times });
+            queue.push(WriteItem::Event { json, times: Times::now() });
         };
         push();
         push();

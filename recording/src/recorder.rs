@@ -3,7 +3,6 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::SystemTime;
 
 use tokio::time::Instant;
 
@@ -12,7 +11,7 @@ use super::item::WriteItem;
 use super::progress::Progress;
 use super::queue::Queue;
 use super::writer::Times;
-use crate::event::{Event, Events};
+use crate::event::Events;
 use tokio_scip::RawReply;
 use tokio_scip::{Error, ReplyObservation, Scan, ScanStream, Sensor};
 
@@ -120,15 +119,9 @@ impl Recorder {
     /// Fails with [`RecordingError::Write`] once writing has failed: the recording has ended,
     /// but the stream continues.
     pub fn record(&mut self, item: &Result<Scan, Error>) -> Result<(), RecordingError> {
-        let times = match item {
-            Ok(scan) => Times { steady: scan.received_at().into_std(), wall: scan.times().stamp },
-            Err(_) => {
-                let steady = Instant::now().into_std();
-                Times { steady, wall: SystemTime::now() }
-            }
-        };
+        let times = item.as_ref().map_or_else(|_| Times::now(), Times::of);
         for event in self.events.from_item(item) {
-            self.event(&event, times);
+            self.queue.push(WriteItem::Event { json: event.to_string(), times });
         }
         if let Ok(scan) = item {
             self.queue.push(WriteItem::Scan(scan.clone()));
@@ -188,10 +181,6 @@ impl Recorder {
         let _ = self.queue.finish().await;
         self.is_complete = true;
         self.queue.failure().map_or_else(|| Ok(self.progress()), Err)
-    }
-
-    fn event(&self, event: &Event, times: Times) {
-        self.queue.push(WriteItem::Event { json: event.to_string(), times });
     }
 }
 

@@ -30,26 +30,22 @@ pub(super) struct Times {
     pub(super) wall: SystemTime,
 }
 
-/// Converts instants to times of the log: the wall clock at the start of the recording,
-/// continued by a steady clock.
-#[derive(Debug)]
-pub(super) struct LogClock {
-    began: Times,
-}
-
-impl LogClock {
-    pub(super) fn starting_now() -> Self {
+impl Times {
+    pub(super) fn now() -> Self {
         // tokio's clock, which a simulation may have paused.
         let steady = tokio::time::Instant::now().into_std();
-        Self { began: Times { steady, wall: SystemTime::now() } }
+        Self { steady, wall: SystemTime::now() }
     }
 
-    /// Converts to nanoseconds since 1970.
-    fn log_time(&self, at: Instant) -> u64 {
-        let since = at.saturating_duration_since(self.began.steady);
-        let before = self.began.steady.saturating_duration_since(at);
-        let began = since_1970(self.began.wall);
-        nanos((began + since).saturating_sub(before))
+    pub(super) fn of(scan: &Scan) -> Self {
+        Self { steady: scan.received_at().into_std(), wall: scan.times().stamp }
+    }
+
+    /// Wall clock in nanoseconds since 1970 at another instant, if nobody sets it.
+    fn continued_to(&self, at: Instant) -> u64 {
+        let since = at.saturating_duration_since(self.steady);
+        let before = self.steady.saturating_duration_since(at);
+        nanos((since_1970(self.wall) + since).saturating_sub(before))
     }
 }
 
@@ -59,7 +55,8 @@ type Mcap = McapWriter<Box<dyn Write + Send>>;
 pub(super) struct Writer {
     mcap: Mcap,
     parts: Parts,
-    clock: LogClock,
+    /// Start of the log.
+    began: Times,
     frame_id: String,
     compression: Compression,
     /// Numbers of replies and events.
@@ -68,7 +65,10 @@ pub(super) struct Writer {
     /// Time of the chunk's first message: its log time, and the real time.
     chunk_began: Option<(u64, Instant)>,
     part: Part,
-    preamble: Preamble,
+    // Each file begins with these, so that you can replay it alone.
+    metadata: Option<BTreeMap<String, String>>,
+    /// Latest successful replies that identify the sensor, by their commands: the message and its stamp.
+    identity: BTreeMap<&'static str, (Vec<u8>, SystemTime)>,
 }
 
 /// State of the file being written.
@@ -84,33 +84,25 @@ struct Part {
     after_scan: bool,
 }
 
-/// Content that each file begins with, so that you can replay it alone.
-#[derive(Debug, Default)]
-struct Preamble {
-    metadata: Option<BTreeMap<String, String>>,
-    /// Latest successful replies that identify the sensor, by their commands: the message and its stamp.
-    identity: BTreeMap<&'static str, (Vec<u8>, SystemTime)>,
-}
-
 impl Writer {
     pub(super) fn new(
         out: Box<dyn Write + Send>,
         parts: Parts,
-        clock: LogClock,
         frame_id: String,
         compression: Compression,
     ) -> io::Result<Self> {
         let mut writer = Self {
             mcap: start(out, compression)?,
             parts,
-            clock,
+            began: Times::now(),
             frame_id,
             compression,
             numbers: [0; 2],
             message: Vec::with_capacity(4096),
             chunk_began: None,
             part: Part::default(),
-            preamble: Preamble::default(),
+            metadata: None,
+            identity: BTreeMap::new(),
         };
         writer.parts.remove_old(writer.mcap.len());
         writer.flush()?;
@@ -118,10 +110,9 @@ impl Writer {
     }
 
     pub(super) fn scan(&mut self, scan: &Scan) -> io::Result<()> {
-        let times = Times { steady: scan.received_at().into_std(), wall: scan.times().stamp };
         ros::write_scan(&mut self.message, scan, scan.first_ray_stamp(), &self.frame_id);
         // The field has 32 bits. A gap is still a gap.
-        self.write(Topic::Scans, scan.sequence() as u32, times)?;
+        self.write(Topic::Scans, scan.sequence() as u32, Times::of(scan))?;
         self.part.after_scan = self.part.reply.is_none_or(|reply| reply <= scan.times().stamp);
         Ok(())
     }
@@ -135,7 +126,7 @@ impl Writer {
         self.part.reply = Some(times.wall);
         self.part.after_scan = false;
         if let Some(command) = identified(request, bytes) {
-            self.preamble.identity.insert(command, (self.message.clone(), times.wall));
+            self.identity.insert(command, (self.message.clone(), times.wall));
         }
         Ok(())
     }
@@ -149,7 +140,7 @@ impl Writer {
 
     pub(super) fn metadata(&mut self, metadata: BTreeMap<String, String>) -> io::Result<()> {
         self.step(|mcap| mcap.metadata(METADATA, &metadata))?;
-        self.preamble.metadata = Some(metadata);
+        self.metadata = Some(metadata);
         Ok(())
     }
 
@@ -179,7 +170,7 @@ impl Writer {
 
     /// Writes the encoded message.
     fn write(&mut self, topic: Topic, sequence: u32, times: Times) -> io::Result<()> {
-        let log_time = self.clock.log_time(times.steady);
+        let log_time = self.began.continued_to(times.steady);
         if self.is_split_due(log_time) {
             self.flush()?;
             self.start_next_part(log_time)?;
@@ -259,10 +250,10 @@ impl Writer {
         self.chunk_began = None;
         // First, because the metadata are written at once.
         self.parts.remove_old(self.mcap.len());
-        if let Some(metadata) = &self.preamble.metadata {
+        if let Some(metadata) = &self.metadata {
             self.mcap.metadata(METADATA, metadata)?;
         }
-        for (message, stamp) in self.preamble.identity.values() {
+        for (message, stamp) in self.identity.values() {
             let publish_time = nanos(since_1970(*stamp));
             let channel = Topic::Replies.channel();
             // Gets the number of a later reply, because it is not a reply of its own.
@@ -301,13 +292,12 @@ mod tests {
 
     #[test]
     fn the_log_starts_at_the_wall_clock_and_runs_steadily() {
-        let wall = SystemTime::UNIX_EPOCH + Duration::from_secs(1_000);
-        let steady = Instant::now();
-        let clock = LogClock { began: Times { steady, wall } };
-        let second = Duration::from_secs(1);
-        assert_eq!(clock.log_time(steady + second), 1_001_000_000_000);
+        let (steady, wall) = (Instant::now(), SystemTime::UNIX_EPOCH + Duration::from_secs(1_000));
+        let (began, second) = (Times { steady, wall }, Duration::from_secs(1));
+        assert_eq!(began.continued_to(steady + second), 1_001_000_000_000);
         // Scan received before the recorder was made.
-        assert_eq!(steady.checked_sub(second).map(|at| clock.log_time(at)), Some(999_000_000_000));
+        let before = steady.checked_sub(second).map(|at| began.continued_to(at));
+        assert_eq!(before, Some(999_000_000_000));
     }
 
     /// A file can only be split at a scan, and grows until one comes.
@@ -318,10 +308,8 @@ mod tests {
         let path = folder.join("run.mcap");
         let parts = Parts::new(Limits::default(), Some(path.clone()), &path, |out| out.writer);
         let out = RecordingFile::open(&path, false).unwrap().begin().unwrap().writer;
-        let clock = LogClock::starting_now();
-        let mut times = clock.began;
-        let mut writer =
-            Writer::new(out, parts, clock, "laser".to_owned(), Compression::Plain).unwrap();
+        let mut writer = Writer::new(out, parts, "laser".to_owned(), Compression::Plain).unwrap();
+        let mut times = writer.began;
         while writer.mcap.index_entries() < MAX_PART_ENTRIES - 4 {
             writer.metadata(BTreeMap::new()).unwrap();
         }
