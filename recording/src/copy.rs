@@ -2,13 +2,12 @@
 //! numbers of schemas and channels are new, so that no two topics share one.
 
 use std::cmp::Reverse;
-use std::collections::{BinaryHeap, HashMap};
+use std::collections::{BTreeMap, BinaryHeap, HashMap};
 use std::io::{Read, Write};
 use std::ops::RangeBounds;
 use std::time::Duration;
 
 use super::RecordingError;
-use super::identity::Identity;
 use super::latched::{Latched, LatchedMessage, LatchedTopic};
 use super::mcap::{
     Compression, DefinitionWriter, Definitions, Input, McapWriter, MessageHeader, Records, header,
@@ -19,6 +18,7 @@ use super::polls::StreamPolls;
 use super::range::TimeRange;
 use super::reader::parse_sensor_metadata;
 use super::record::Entry;
+use super::reply::ReplyKind;
 use super::stream::Stream;
 
 /// Time span of a chunk in the copy: about a second of messages, as in a recording.
@@ -136,7 +136,7 @@ pub fn cut<R: Read + Send + 'static>(
         keeps_compression: compression.is_none(),
         definitions: DefinitionWriter::default(),
         range: TimeRange::new(&range),
-        identity: Identity::default(),
+        identity: BTreeMap::new(),
         latched: Latched::default(),
         metadata: None,
         chunk_began: None,
@@ -147,14 +147,20 @@ pub fn cut<R: Read + Send + 'static>(
         let Some(source) = sources.get_mut(number) else { continue };
         copy.step(number, source).map_err(RecordingError::write)?;
         if source.is_over {
-            copy.define_rest(source);
+            // The channels and schemas that have no message in the copy.
+            if !copy.definitions.rest(&source.definitions, lost_schema, &mut copy.writer) {
+                copy.outcome.add_damage(source.records.report_damage());
+            }
         } else {
             source.advance(&mut copy.outcome)?;
             queue.push(Reverse((source.time, number)));
         }
     }
-    drop(sources);
-    copy.finish()
+    copy.count_scans(true);
+    // Makes room for the index.
+    drop((sources, copy.definitions));
+    copy.writer.end().map_err(RecordingError::write)?;
+    Ok(copy.outcome)
 }
 
 /// Copies a damaged or cut-off recording to `output` as a complete file, which other readers can
@@ -260,7 +266,8 @@ struct Copy<W> {
     keeps_compression: bool,
     definitions: DefinitionWriter,
     range: TimeRange,
-    identity: Identity,
+    /// Latest successful replies that identify the sensor, and the numbers of their sources.
+    identity: BTreeMap<ReplyKind, (usize, MessageHeader, Vec<u8>)>,
     /// Latched messages before the part, until it begins.
     latched: Latched,
     /// Latest metadata of a recording, and its source: each file of a split recording repeats it.
@@ -285,7 +292,7 @@ impl<W: Write> Copy<W> {
                 let stream = Stream::from_metadata(&metadata);
                 if stream.as_ref().is_some_and(|stream| stream.model.0.is_some()) {
                     // Otherwise it would follow the metadata in the copy, and count as the later one.
-                    self.identity.forget_parameters();
+                    self.identity.remove(&ReplyKind::Parameters);
                 }
                 self.polls.describe(stream);
                 // Of the first description, whatever follows.
@@ -311,7 +318,11 @@ impl<W: Write> Copy<W> {
             Entry::Reply(reply) => reply.identity(),
             _ => None,
         });
-        if identity.is_some_and(|kind| self.identity.is_repeated(kind, number, header, data)) {
+        let known = identity.and_then(|kind| self.identity.get(&kind));
+        // Each file of a split recording begins with them.
+        if known.is_some_and(|(source, known, bytes)| {
+            *source != number && known.publish_time == header.publish_time && bytes == data
+        }) {
             return Ok(());
         }
         let is_early = self.chunk_began.is_none() && self.range.begins_after(at);
@@ -340,7 +351,7 @@ impl<W: Write> Copy<W> {
             return Ok(());
         }
         if let Some(kind) = identity {
-            self.identity.insert(kind, number, header, data);
+            self.identity.insert(kind, (number, header, data.to_vec()));
             if !is_inside {
                 record.into_iter().for_each(|record| self.polls.add(record));
                 return Ok(());
@@ -349,8 +360,9 @@ impl<W: Write> Copy<W> {
         if self.chunk_began.is_none() {
             let log_time = header.log_time;
             let known = std::mem::take(&mut self.identity);
-            for (header, data) in known.others(identity) {
-                self.message(MessageHeader { log_time, ..header }, data)?;
+            for (_, (_, header, data)) in known.iter().filter(|(kind, _)| Some(**kind) != identity)
+            {
+                self.message(MessageHeader { log_time, ..*header }, data)?;
             }
             self.identity = known;
             for latched in std::mem::take(&mut self.latched).into_messages() {
@@ -365,13 +377,6 @@ impl<W: Write> Copy<W> {
         }
         self.count_scans(false);
         Ok(())
-    }
-
-    /// Writes the channels and schemas of a source that have no message in the copy.
-    fn define_rest(&mut self, source: &mut Source) {
-        if !self.definitions.rest(&source.definitions, lost_schema, &mut self.writer) {
-            self.outcome.add_damage(source.records.report_damage());
-        }
     }
 
     fn message(&mut self, header: MessageHeader, data: &[u8]) -> std::io::Result<()> {
@@ -389,12 +394,5 @@ impl<W: Write> Copy<W> {
         while let Some(poll) = self.polls.next(is_end) {
             self.outcome.scans += u64::from(poll.stream_values().is_some());
         }
-    }
-
-    fn finish(mut self) -> Result<Copied, RecordingError> {
-        self.count_scans(true);
-        drop(self.definitions);
-        self.writer.end().map_err(RecordingError::write)?;
-        Ok(self.outcome)
     }
 }

@@ -1,10 +1,8 @@
-//! Identity of a recorded sensor: its latest replies to `V`, `VV` and `PP`, or, where the recording does
-//! not have them, what the metadata have.
+//! Identity of a recorded sensor: what its reply to `V` or `VV` says, or, where the recording has none,
+//! the metadata.
 
 use std::collections::BTreeMap;
 
-use super::mcap::MessageHeader;
-use super::reply::ReplyKind;
 use tokio_scip::Version;
 use tokio_scip::protocol::{Command, Reply};
 
@@ -16,49 +14,6 @@ const LINES: [(&str, &str); 5] = [
     ("PROT", "protocol"),
     ("SERI", "serial_number"),
 ];
-
-/// Latest successful replies that identify the sensor, with the numbers of the files that they are from.
-#[derive(Debug, Default)]
-pub(super) struct Identity(BTreeMap<ReplyKind, (usize, MessageHeader, Vec<u8>)>);
-
-impl Identity {
-    pub(super) fn insert(
-        &mut self,
-        kind: ReplyKind,
-        file: usize,
-        header: MessageHeader,
-        data: &[u8],
-    ) {
-        self.0.insert(kind, (file, header, data.to_vec()));
-    }
-
-    pub(super) fn forget_parameters(&mut self) {
-        self.0.remove(&ReplyKind::Parameters);
-    }
-
-    /// Returns true for a reply that another file has already: each file of a split recording begins
-    /// with it.
-    pub(super) fn is_repeated(
-        &self,
-        kind: ReplyKind,
-        file: usize,
-        header: MessageHeader,
-        data: &[u8],
-    ) -> bool {
-        self.0.get(&kind).is_some_and(|(known_file, known, bytes)| {
-            *known_file != file && known.publish_time == header.publish_time && bytes == data
-        })
-    }
-
-    /// Replies of other kinds than this one.
-    pub(super) fn others(
-        &self,
-        kind: Option<ReplyKind>,
-    ) -> impl Iterator<Item = (MessageHeader, &[u8])> {
-        let others = self.0.iter().filter(move |(other, _)| Some(**other) != kind);
-        others.map(|(_, (_, header, data))| (*header, &data[..]))
-    }
-}
 
 /// Lines of a reply to `V`. A line whose value is unknown has none.
 pub(super) fn version_lines(metadata: &BTreeMap<String, String>) -> Vec<Vec<u8>> {
