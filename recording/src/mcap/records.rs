@@ -33,7 +33,7 @@ impl Records {
 
     /// Returns true if the whole file was read and its end is missing.
     pub(in super::super) fn is_truncated(&self) -> bool {
-        self.sections.is_truncated()
+        self.sections.is_truncated
     }
 
     /// Bytes of the chunks so far.
@@ -47,7 +47,9 @@ impl Records {
         &mut self,
         times: &RangeInclusive<u64>,
     ) -> Result<(), RecordingError> {
-        self.index = Some(self.sections.leave_out_others(times)?);
+        let index = self.sections.index()?;
+        self.sections.unwanted = index.parts_outside(times).into();
+        self.index = Some(index);
         Ok(())
     }
 

@@ -4,6 +4,7 @@
 //! a C compiler for each target. `ruzstd` returns bytes only once they have left the window: if a
 //! file is cut off within a chunk, this whole chunk may be lost.
 
+use std::cmp::Ordering;
 #[cfg(feature = "compression")]
 use std::io;
 use std::io::Read;
@@ -16,45 +17,28 @@ use crate::mcap::form::ChunkHead;
 #[cfg(feature = "compression")]
 const MAX_SMALL_WINDOW: u64 = 8 << 20;
 
-/// Reason why the records are not complete.
-pub(super) enum Failure {
-    /// This build does not read the compression.
-    Compression,
-    Damaged(&'static str),
-}
-
-/// Returns true for a compression that the format names.
-pub(super) fn is_named(compression: &str) -> bool {
-    matches!(compression, "zstd" | "lz4")
-}
-
-/// Appends the records of a chunk to `out`. `chunk` may be cut off after its head; `out` then has
-/// what could be decompressed.
-pub(super) fn decompress(chunk: &[u8], head: &ChunkHead, out: &mut Vec<u8>) -> Result<(), Failure> {
-    let compressed = chunk.get(head.records.start..).unwrap_or_default();
-    let Some(decoder) = decoder(&head.compression, compressed, head.size) else {
-        return Err(Failure::Compression);
-    };
+/// Decompresses the records of a chunk into the empty `out`. They may be cut off: `out` then has what
+/// could be decompressed, and the error says why that is not all. Returns `None` if this build does not
+/// read the compression.
+pub(super) fn decompress(
+    compressed: &[u8],
+    head: &ChunkHead,
+    out: &mut Vec<u8>,
+) -> Option<Result<(), &'static str>> {
+    let decoder = decoder(&head.compression, compressed, head.size)?;
     if head.size > MAX_CHUNK_BYTES {
-        return Err(Failure::Damaged("a chunk claims more than 64 MiB after decompression"));
+        return Some(Err("a chunk claims more than 64 MiB after decompression"));
     }
-    read_exactly(decoder, head.size, out).map_err(Failure::Damaged)
-}
-
-/// Appends the decoder's bytes to `out`, at most `size`.
-fn read_exactly(decoder: impl Read, size: u64, out: &mut Vec<u8>) -> Result<(), &'static str> {
-    let before = out.len() as u64;
     // One more byte shows that there are more.
-    let outcome = decoder.take(size + 1).read_to_end(out);
-    let found = out.len() as u64 - before;
-    if found > size {
-        out.pop();
-        return Err("a chunk decompresses to more bytes than it claims");
-    }
-    match outcome {
-        Ok(_) if found == size => Ok(()),
+    let outcome = decoder.take(head.size + 1).read_to_end(out);
+    Some(match (out.len() as u64).cmp(&head.size) {
+        Ordering::Greater => {
+            out.pop();
+            Err("a chunk decompresses to more bytes than it claims")
+        }
+        Ordering::Equal if outcome.is_ok() => Ok(()),
         _ => Err("a chunk cannot be decompressed"),
-    }
+    })
 }
 
 /// Returns a decoder, or `None` if this build does not read the compression.

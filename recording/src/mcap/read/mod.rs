@@ -9,9 +9,9 @@ mod decompress;
 mod end;
 
 use std::collections::VecDeque;
-use std::ops::{Range, RangeInclusive};
+use std::ops::Range;
 
-use self::decompress::{Failure, decompress, is_named};
+use self::decompress::decompress;
 use super::form::{
     ChunkHead, Extent, Kinds, chunk_head, is_known, is_message_index, is_well_formed, next_start,
     outside_chunks,
@@ -57,20 +57,16 @@ pub(super) struct Sections {
     /// Set once the file is known to have chunks, or none.
     has_chunks: Option<bool>,
     /// Parts of the file to leave out.
-    unwanted: VecDeque<Range<u64>>,
+    pub(super) unwanted: VecDeque<Range<u64>>,
     is_started: bool,
     is_over: bool,
-    is_truncated: bool,
+    /// True if the end of the file is missing, once it was read.
+    pub(super) is_truncated: bool,
 }
 
 impl Sections {
     pub(super) fn new(input: Input) -> Self {
         Self { window: Window::new(input), ..Self::default() }
-    }
-
-    /// Returns true if the whole file was read and its end is missing.
-    pub(super) fn is_truncated(&self) -> bool {
-        self.is_truncated
     }
 
     /// Position of the latest section in the file.
@@ -84,17 +80,6 @@ impl Sections {
             true => self.window.bytes(range),
             false => self.decompressed.get(range).unwrap_or_default(),
         }
-    }
-
-    /// Leaves out the chunks after the latest section that have no message at these times, if the
-    /// file's index lists them. Returns the index.
-    pub(super) fn leave_out_others(
-        &mut self,
-        times: &RangeInclusive<u64>,
-    ) -> Result<FileIndex, RecordingError> {
-        let index = self.index()?;
-        self.unwanted = index.parts_outside(times).into();
-        Ok(index)
     }
 
     /// Reads the index at the end of the file, which is empty if the file has none.
@@ -317,11 +302,12 @@ impl Sections {
 
     /// Decompresses the chunk here.
     fn decompress(&mut self, head: &ChunkHead, is_whole: bool) -> Result<(), RecordingError> {
-        let chunk = self.window.bytes(0..self.used.min(head.records.end));
-        match decompress(chunk, head, &mut self.decompressed) {
-            Err(Failure::Compression) => Err(self.unknown_compression(&head.compression)),
-            Err(Failure::Damaged(reason)) if is_whole => Err(self.damaged(reason)),
-            _ => Ok(()),
+        let compressed = head.records.start..self.used.min(head.records.end);
+        let compressed = self.window.bytes(compressed);
+        match decompress(compressed, head, &mut self.decompressed) {
+            None => Err(self.unknown_compression(&head.compression)),
+            Some(Err(reason)) if is_whole => Err(self.damaged(reason)),
+            Some(_) => Ok(()),
         }
     }
 
@@ -331,7 +317,7 @@ impl Sections {
         let is_compressed = |known: &Compression| *known != Compression::Plain;
         let has_known = self.chunk_bytes.compressions.iter().any(is_compressed);
         let is_second = self.unknown.replace(name.to_owned()).as_deref() == Some(name);
-        match is_named(name) || is_second && !has_known {
+        match Compression::named(name).is_some() || is_second && !has_known {
             true => RecordingError::Compressed { compression: name.to_owned() },
             false => self.damaged("a chunk has an unknown compression"),
         }
