@@ -6,7 +6,7 @@ use std::io::{self, Write};
 use std::time::{Duration, Instant, SystemTime};
 
 use super::METADATA;
-use super::mcap::{self, Compression, McapWriter, MessageHeader, nanos};
+use super::mcap::{self, Compression, McapWriter, MessageHeader, kind, nanos};
 use super::parts::Parts;
 use super::reply::identity_command;
 use super::topics::Topic;
@@ -278,8 +278,10 @@ fn start(out: Box<dyn Write + Send>, compression: Compression) -> io::Result<Mca
     let mut mcap = McapWriter::start(out, &mcap::header("ros2", LIBRARY), compression)?;
     for topic in Topic::ALL {
         let message = topic.message_type();
-        mcap.add_schema(topic.schema(), message.name(), message.definition());
-        mcap.add_channel(topic.channel(), topic.schema(), topic.name());
+        let schema = mcap::schema(message.name(), message.definition());
+        mcap.declare(kind::SCHEMA, topic.schema(), &schema);
+        let channel = mcap::channel(topic.schema(), topic.name());
+        mcap.declare(kind::CHANNEL, topic.channel(), &channel);
     }
     Ok(mcap)
 }

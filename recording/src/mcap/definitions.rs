@@ -131,7 +131,7 @@ impl DefinitionWriter {
         let number = numbers.find(|number| !self.taken.contains(&(kind, *number)))?;
         self.bytes = bytes;
         self.taken.insert((kind, number));
-        writer.declare(kind, &[&number.to_le_bytes(), content].concat());
+        writer.declare(kind, number, content);
         self.numbers.insert(key, number);
         Some(number)
     }

@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Fields, MAX_INDEX_BYTES, MessageHeader, kind, put_bytes, put_record};
+use super::{MAX_INDEX_BYTES, MessageHeader, kind, put_bytes, put_record};
 
 /// Messages of a chunk: their times, and their positions among its records.
 #[derive(Default)]
@@ -29,8 +29,9 @@ pub(super) struct ChunkPlace {
 pub(super) struct Index {
     /// Latest schema and channel of each number, as records.
     schemas: BTreeMap<u16, Vec<u8>>,
-    channels: BTreeMap<u16, Vec<u8>>,
-    channel_bytes: usize,
+    pub(super) channels: BTreeMap<u16, Vec<u8>>,
+    /// Length of the channels.
+    pub(super) channel_bytes: usize,
     /// One record for each chunk.
     chunk_indexes: Vec<u8>,
     /// One record for each metadata record.
@@ -88,26 +89,18 @@ impl Index {
         self.chunks + self.metadata
     }
 
-    /// Channels declared so far, as records.
-    pub(super) fn channels(&self) -> impl Iterator<Item = &[u8]> {
-        self.channels.values().map(Vec::as_slice)
-    }
-
-    /// Length of those records.
-    pub(super) fn channel_bytes(&self) -> usize {
-        self.channel_bytes
-    }
-
     /// Keeps a schema or a channel for the summary. Returns its record if it is new.
-    pub(super) fn declare(&mut self, kind: u8, content: &[u8]) -> Option<&[u8]> {
-        let id = Fields(content).u16()?;
+    pub(super) fn declare(&mut self, kind: u8, number: u16, content: &[u8]) -> Option<&[u8]> {
         let group = if kind == kind::SCHEMA { &mut self.schemas } else { &mut self.channels };
         let mut record = Vec::new();
-        put_record(&mut record, kind, |out| out.extend_from_slice(content));
-        if group.get(&id) == Some(&record) {
+        put_record(&mut record, kind, |out| {
+            out.extend_from_slice(&number.to_le_bytes());
+            out.extend_from_slice(content);
+        });
+        let kept = group.entry(number).or_default();
+        if *kept == record {
             return None;
         }
-        let kept = group.entry(id).or_default();
         if kind == kind::CHANNEL {
             self.channel_bytes = self.channel_bytes - kept.len() + record.len();
         }
@@ -118,9 +111,6 @@ impl Index {
     /// Adds a metadata record of this name, `length` bytes long, at `start`.
     pub(super) fn add_metadata(&mut self, start: u64, length: u64, name: &str) {
         self.metadata += 1;
-        if self.is_too_long {
-            return;
-        }
         put_record(&mut self.metadata_indexes, kind::METADATA_INDEX, |out| {
             out.extend_from_slice(&start.to_le_bytes());
             out.extend_from_slice(&length.to_le_bytes());
@@ -144,9 +134,6 @@ impl Index {
         for (channel, messages) in &messages.channels {
             *self.messages.entry(*channel).or_default() += messages.len() as u64;
         }
-        if self.is_too_long {
-            return;
-        }
         let (first, last) = messages.span();
         put_record(&mut self.chunk_indexes, kind::CHUNK_INDEX, |out| {
             for field in [first, last, place.start, place.length] {
@@ -163,7 +150,7 @@ impl Index {
     }
 
     fn limit_length(&mut self) {
-        if self.len() > MAX_INDEX_BYTES {
+        if self.is_too_long || self.len() > MAX_INDEX_BYTES {
             self.leave_out();
         }
     }
@@ -235,7 +222,7 @@ fn extend(span: Option<(u64, u64)>, from: u64, to: u64) -> (u64, u64) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::write::header;
+    use super::super::write::{channel, header, schema};
     use super::super::{Compression, McapWriter};
     use super::*;
 
@@ -243,8 +230,8 @@ mod tests {
     fn chunks(count: usize) -> McapWriter<Vec<u8>> {
         let mut writer =
             McapWriter::start(Vec::new(), &header("", ""), Compression::Plain).unwrap();
-        writer.add_schema(1, "std_msgs/msg/String", "string data");
-        writer.add_channel(0, 1, "/scan");
+        writer.declare(kind::SCHEMA, 1, &schema("std_msgs/msg/String", "string data"));
+        writer.declare(kind::CHANNEL, 0, &channel(1, "/scan"));
         for sequence in 0..count as u32 {
             let time = u64::from(sequence);
             let header = MessageHeader { channel: 0, sequence, log_time: time, publish_time: time };

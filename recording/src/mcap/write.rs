@@ -101,21 +101,11 @@ impl<W: Write> McapWriter<W> {
         &self.index
     }
 
-    /// Declares a channel of a message type.
-    pub(in super::super) fn add_channel(&mut self, id: u16, schema: u16, topic: &str) {
-        self.declare(kind::CHANNEL, &[&id.to_le_bytes(), &*channel(schema, topic)].concat());
-    }
-
-    /// Declares a message type of ROS 2.
-    pub(in super::super) fn add_schema(&mut self, id: u16, message: &str, definition: &str) {
-        self.declare(kind::SCHEMA, &[&id.to_le_bytes(), &*schema(message, definition)].concat());
-    }
-
-    /// Writes the content of a schema or channel record, unless it was written before.
-    pub(in super::super) fn declare(&mut self, kind: u8, content: &[u8]) {
+    /// Writes a schema or channel, unless it was written before. `content` follows its number.
+    pub(in super::super) fn declare(&mut self, kind: u8, number: u16, content: &[u8]) {
         // First, because a chunk begins with the channels known before it.
         self.begin_chunk();
-        if let Some(record) = self.index.declare(kind, content) {
+        if let Some(record) = self.index.declare(kind, number, content) {
             self.chunk.record.extend_from_slice(record);
         }
     }
@@ -148,14 +138,8 @@ impl<W: Write> McapWriter<W> {
         name: &str,
         map: &BTreeMap<String, String>,
     ) -> io::Result<()> {
-        let mut content = Vec::new();
-        put_bytes(&mut content, name.as_bytes());
-        let mut pairs = Vec::new();
-        for (key, value) in map {
-            put_bytes(&mut pairs, key.as_bytes());
-            put_bytes(&mut pairs, value.as_bytes());
-        }
-        put_bytes(&mut content, &pairs);
+        let mut content = texts([name]);
+        put_bytes(&mut content, &texts(map.iter().flat_map(|(key, value)| [&**key, value])));
         self.copy_metadata(name, &content)
     }
 
@@ -226,10 +210,10 @@ impl<W: Write> McapWriter<W> {
         let record = &mut self.chunk.record;
         if record.is_empty() {
             record.resize(CHUNK_HEAD, 0);
-            let channel_bytes = self.index.channel_bytes();
-            if self.since_channels.is_none_or(|bytes| channel_bytes <= bytes) {
+            let Index { channels, channel_bytes, .. } = &self.index;
+            if self.since_channels.is_none_or(|bytes| *channel_bytes <= bytes) {
                 self.since_channels = self.since_channels.map(|_| 0);
-                self.index.channels().for_each(|channel| record.extend_from_slice(channel));
+                channels.values().for_each(|channel| record.extend_from_slice(channel));
             }
         }
     }
@@ -297,28 +281,23 @@ impl<W: Write> McapWriter<W> {
 
 /// Encodes the content of a header record.
 pub(in super::super) fn header(profile: &str, library: &str) -> Vec<u8> {
-    let mut content = Vec::new();
-    put_bytes(&mut content, profile.as_bytes());
-    put_bytes(&mut content, library.as_bytes());
-    content
+    texts([profile, library])
 }
 
 /// Encodes the content of a channel of ROS 2 without metadata, after its number.
 pub(in super::super) fn channel(schema: u16, topic: &str) -> Vec<u8> {
-    let mut content = schema.to_le_bytes().to_vec();
-    for text in [topic, "cdr", ""] {
-        put_bytes(&mut content, text.as_bytes());
-    }
-    content
+    [&schema.to_le_bytes(), &*texts([topic, "cdr", ""])].concat()
 }
 
 /// Encodes the content of a schema of ROS 2, after its number.
 pub(in super::super) fn schema(message: &str, definition: &str) -> Vec<u8> {
-    let mut content = Vec::new();
-    for text in [message, "ros2msg", definition] {
-        put_bytes(&mut content, text.as_bytes());
-    }
-    content
+    texts([message, "ros2msg", definition])
+}
+
+fn texts<'a>(texts: impl IntoIterator<Item = &'a str>) -> Vec<u8> {
+    let mut out = Vec::new();
+    texts.into_iter().for_each(|text| put_bytes(&mut out, text.as_bytes()));
+    out
 }
 
 #[cfg(test)]
