@@ -1,7 +1,7 @@
 //! [`RecorderBuilder`]: settings of a recorder, and where it writes.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 use super::file::RecordingFile;
@@ -215,7 +215,7 @@ impl RecorderBuilder {
         self.check()?;
         let (current, first) = (file.path().to_owned(), file.first().map(Path::to_owned));
         let out = file.begin().map_err(RecordingError::write)?;
-        self.start(out, &current, first)
+        Queue::into_file(out, &current, first, self.settings).map(Recorder::new)
     }
 
     /// Records into any writer, such as a pipe. Makes no further files: after 150,000 chunks,
@@ -229,7 +229,7 @@ impl RecorderBuilder {
     pub fn write_to(self, out: impl Write + Send + 'static) -> Result<Recorder, RecordingError> {
         self.check()?;
         let out = Output { writer: Box::new(out), durable: None };
-        self.start(out, Path::new(""), None)
+        Queue::into_file(out, Path::new(""), None, self.settings).map(Recorder::new)
     }
 
     fn check(&self) -> Result<(), RecordingError> {
@@ -238,15 +238,5 @@ impl RecorderBuilder {
             return Err(RecordingError::FrameId { frame_id: frame_id.clone() });
         }
         compression.check()
-    }
-
-    fn start(
-        self,
-        out: Output,
-        current: &Path,
-        path: Option<PathBuf>,
-    ) -> Result<Recorder, RecordingError> {
-        let queue = Queue::into_file(out, current, path, self.settings)?;
-        Ok(Recorder::new(queue))
     }
 }

@@ -2,7 +2,6 @@
 //! replay sends them and [`Recording::scans`] decodes them, so both have the same scans.
 
 use std::collections::{BTreeSet, VecDeque};
-use std::fmt;
 use std::time::{Duration, SystemTime};
 
 use super::event::Event;
@@ -88,8 +87,10 @@ impl PollReply {
 
     /// Returns true if this is a poll of the stream.
     fn is_of(&self, stream: &Stream) -> bool {
+        let points = |window: &Window| (window.start(), window.cluster_count(), window.points());
         let is_same = match &self.answer {
-            Answer::Values(_) => is_same_but_for_end(&stream.window, self.asked),
+            // A message does not tell how many steps its last point has.
+            Answer::Values(_) => points(&stream.window) == points(&self.asked),
             // In SCIP 2 the driver asks for the window itself, or for a stream of more windows.
             Answer::Reply(reply) if reply.is_streamed() => self.asked.holds(&stream.window),
             _ if self.model.0.is_some() => stream.window == self.asked,
@@ -175,7 +176,16 @@ impl StreamPolls {
                 } else {
                     let known = self.streams.iter().rev().cloned();
                     let Some(scan) = MessageScan::from_message(&message, known) else {
-                        self.left_out.add(LeftOutReason::OtherLaser, Directions(&message));
+                        let LaserScan { angle_min, angle_max, angle_increment, ranges, .. } =
+                            message;
+                        let degrees = [angle_min, angle_max, angle_increment].map(f32::to_degrees);
+                        let ([from, to, by], points) = (degrees, ranges.len());
+                        self.left_out.add(
+                            LeftOutReason::OtherLaser,
+                            format_args!(
+                                "{points} points from {from:.2}° to {to:.2}° every {by:.3}°"
+                            ),
+                        );
                         return;
                     };
                     let MessageScan { stream, values, stamp, scan_time } = scan;
@@ -279,29 +289,10 @@ impl StreamPolls {
     }
 }
 
-/// Returns true if both have the same points. A message does not tell how many steps its last one
-/// has.
-fn is_same_but_for_end(window: &Window, other: Window) -> bool {
-    let points = |window: &Window| (window.start(), window.cluster_count(), window.points());
-    points(window) == points(&other)
-}
-
-/// Directions of a message, in words.
-struct Directions<'a>(&'a LaserScan);
-
-impl fmt::Display for Directions<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let LaserScan { angle_min, angle_max, angle_increment, ranges, .. } = self.0;
-        let [from, to, by] =
-            [angle_min, angle_max, angle_increment].map(|angle| angle.to_degrees());
-        write!(f, "{} points from {from:.2}° to {to:.2}° every {by:.3}°", ranges.len())
-    }
-}
-
 /// Polls of a recording, in the order of the file.
 pub(super) struct Polls {
     pub(super) recording: Recording,
-    stream: StreamPolls,
+    pub(super) stream: StreamPolls,
     /// First successful reply to `V` or `VV`.
     pub(super) version: Option<RecordedReply>,
     /// Time of one revolution, from the sensor's latest reply to `V`, or else from the metadata.
@@ -320,11 +311,6 @@ impl Polls {
         let (version, failed_polls, serial_numbers) = (None, 0, BTreeSet::new());
         let is_over = false;
         Self { recording, stream, version, revolution, failed_polls, serial_numbers, is_over }
-    }
-
-    /// Frames of the scans read so far.
-    pub(super) fn frame_ids(&self) -> &BTreeSet<String> {
-        &self.stream.frame_ids
     }
 
     fn add_serial_number(&mut self, number: String) {

@@ -42,19 +42,6 @@ impl Recording {
     }
 }
 
-/// Logs an error, and keeps the first one. The replay continues with what it can read,
-/// and reports the error at its end.
-fn keep_error<T>(
-    item: Result<T, RecordingError>,
-    failure: &mut Option<RecordingError>,
-) -> Option<T> {
-    item.inspect_err(|error| {
-        tracing::warn!(%error, "the replay leaves out a part of the recording");
-        failure.get_or_insert_with(|| error.clone());
-    })
-    .ok()
-}
-
 /// Replies to the polls of one stream, in the order of their arrival.
 struct Replies {
     polls: Polls,
@@ -71,7 +58,8 @@ struct Replies {
     memory: [Vec<u32>; 2],
     /// Sensor's clock at the latest scan, in SCIP 2.
     clock: Duration,
-    /// First error of reading the file.
+    /// First error of reading the file. The replay continues with what it can read, and reports it at
+    /// its end.
     failure: Option<RecordingError>,
 }
 
@@ -104,7 +92,14 @@ impl Replies {
     fn read(&mut self) {
         self.next = None;
         while let Some(item) = self.polls.next() {
-            let Some(poll) = keep_error(item, &mut self.failure) else { continue };
+            let poll = match item {
+                Ok(poll) => poll,
+                Err(error) => {
+                    tracing::warn!(%error, "the replay leaves out a part of the recording");
+                    self.failure.get_or_insert(error);
+                    continue;
+                }
+            };
             let Some(window) = poll.window else {
                 if poll.model.is_like(&self.model) {
                     self.remember(&poll);

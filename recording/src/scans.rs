@@ -8,8 +8,7 @@ use std::time::{Duration, SystemTime};
 use tokio::time::Instant;
 
 use super::identity::parse_version;
-use super::left_out::{LeftOutCounter, LeftOutReason};
-use super::mcap::ChunkBytes;
+use super::left_out::LeftOutReason;
 use super::polls::{PollReply, Polls};
 use super::reply::Values;
 use super::stream::Model;
@@ -40,7 +39,7 @@ impl Recording {
     /// begun. Up to 256 scans before the first metadata must belong to the stream that those describe.
     /// Messages without a description and without replies are all scans, whatever their windows.
     ///
-    /// What is left out is counted: see [`left_out`](RecordedScans::left_out).
+    /// What is left out is counted: see [`left_out`](Self::left_out).
     ///
     /// - `values`, `window` and `stamp` are the recorded ones.
     /// - `sequence` numbers the scans from 0.
@@ -105,15 +104,9 @@ pub struct RecordedScans {
 }
 
 impl RecordedScans {
-    /// Returns true if the whole file was read and its end is missing; see
-    /// [`Recording::is_truncated`].
-    pub fn is_truncated(&self) -> bool {
-        self.polls.recording.is_truncated()
-    }
-
-    /// Bytes of the chunks read so far, and their compressions.
-    pub fn chunk_bytes(&self) -> ChunkBytes {
-        self.polls.recording.chunk_bytes()
+    /// The recording, as far as it was read.
+    pub fn recording(&self) -> &Recording {
+        &self.polls.recording
     }
 
     /// Number of polls without a scan among the records read so far, by the recorded events.
@@ -154,16 +147,10 @@ impl RecordedScans {
         self.log_time
     }
 
-    /// Counter of the messages that were read and are no scan of the stream, as
-    /// [`Recording::left_out`].
-    pub fn left_out(&self) -> LeftOutCounter {
-        self.polls.recording.left_out()
-    }
-
     /// Frames of the scan messages read so far, at most 16. Several ones mean several sensors, unless
     /// somebody renamed the frame.
     pub fn frame_ids(&self) -> &BTreeSet<String> {
-        self.polls.frame_ids()
+        &self.polls.stream.frame_ids
     }
 
     /// Serial numbers in the replies to `V` and in the metadata read so far, at most 16.
@@ -175,13 +162,13 @@ impl RecordedScans {
     fn scan(&mut self, poll: &PollReply) -> Option<Scan> {
         let Some((window, values)) = poll.stream_values() else {
             if let Some(window) = poll.window {
-                self.left_out().add(LeftOutReason::FailedPoll, window);
+                self.polls.recording.left_out.add(LeftOutReason::FailedPoll, window);
             }
             return None;
         };
         let sensor = self.sensor.get_or_insert_with(|| poll.model.clone());
         if self.is_of_one_sensor && !poll.model.is_like(sensor) {
-            self.left_out().add(LeftOutReason::OtherLaser, window);
+            self.polls.recording.left_out.add(LeftOutReason::OtherLaser, window);
             return None;
         }
         let (first, began) = *self.started.get_or_insert_with(|| (poll.at, Instant::now()));

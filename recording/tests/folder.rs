@@ -36,7 +36,7 @@ fn read(recording: Recording) -> (Vec<Vec<u32>>, bool) {
     let mut scans = recording.scans();
     let values =
         scans.by_ref().map(|scan| scan.unwrap().raw_values().collect::<Vec<_>>()).collect();
-    (values, scans.is_truncated())
+    (values, scans.recording().is_truncated())
 }
 
 #[tokio::test(start_paused = true)]

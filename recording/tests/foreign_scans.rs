@@ -377,7 +377,7 @@ async fn every_message_is_a_scan_or_counted() {
                 Err(error) => panic!("{seed}: {error}"),
             }
         }
-        let left_out = recorded.left_out().counts();
+        let left_out = recorded.recording().left_out().counts();
         assert_eq!(counted(&left_out), truth.left_out, "{seed}: {left_out:?}");
         assert_eq!(scans.len(), truth.scans.len(), "{seed}");
         scans.iter().zip(&truth.scans).for_each(|(scan, expected)| check(scan, expected));
@@ -447,7 +447,7 @@ fn a_part_shows_the_stream_that_it_has() {
         let mut recorded = open(file).scans();
         let windows: Vec<Window> = recorded.by_ref().map(|scan| scan.unwrap().window()).collect();
         let count = |wanted| windows.iter().filter(|window| **window == wanted).count();
-        (count(long), count(short), counted(&recorded.left_out().counts()))
+        (count(long), count(short), counted(&recorded.recording().left_out().counts()))
     };
     // Once the other one has begun, the scans of the first are left out, and counted.
     let (first, second, left_out) = read(&joined);

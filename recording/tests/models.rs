@@ -220,6 +220,6 @@ async fn two_sensors_lie_in_one_file() {
         assert_eq!(counts(left_out), [(LeftOutReason::OtherLaser, 20)]);
         let mut scans = open(&joined).scans().of_one_sensor();
         assert!(scans.by_ref().all(|scan| scan.unwrap().geometry() == found[0].geometry()));
-        assert_eq!(counts(scans.left_out()), [(LeftOutReason::OtherLaser, 20)]);
+        assert_eq!(counts(scans.recording().left_out()), [(LeftOutReason::OtherLaser, 20)]);
     }
 }

@@ -57,8 +57,8 @@ async fn refused_and_malformed_replies_are_skipped() {
     let expected: Vec<_> =
         delivered.iter().flatten().map(|scan| scan.raw_values().collect::<Vec<_>>()).collect();
     assert_eq!(values, expected);
-    assert!(scans.next().is_none() && !scans.is_truncated());
-    let left_out = scans.left_out().counts();
+    assert!(scans.next().is_none() && !scans.recording().is_truncated());
+    let left_out = scans.recording().left_out().counts();
     let text: Vec<_> = left_out.iter().map(ToString::to_string).collect();
     assert_eq!(text, ["2 refused or malformed replies (the first: steps 44..=725)"]);
     assert_eq!(left_out[0].reason, LeftOutReason::FailedPoll);
@@ -87,7 +87,7 @@ async fn scans_of_a_file_without_its_end_are_read() {
         let file = whole[..whole.len() - missing].to_vec();
         let mut scans = Recording::read(Cursor::new(file)).unwrap().scans();
         assert_eq!(scans.by_ref().filter(Result::is_ok).count(), 10);
-        assert_eq!(scans.is_truncated(), is_truncated, "{missing} bytes");
+        assert_eq!(scans.recording().is_truncated(), is_truncated, "{missing} bytes");
     }
 }
 

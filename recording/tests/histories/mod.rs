@@ -221,7 +221,8 @@ fn scans(bytes: &[u8]) -> Result<(Vec<Scan>, u64), Wrong> {
             Err(error) => return Err(error.into()),
         }
     }
-    let left_out = recorded.left_out().counts().iter().map(|count| count.messages).sum();
+    let left_out =
+        recorded.recording().left_out().counts().iter().map(|count| count.messages).sum();
     Ok((scans, left_out))
 }
 

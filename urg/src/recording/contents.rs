@@ -67,8 +67,8 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
         }
     }
     let losses = recorded.failed_polls();
-    let complete = !recorded.is_truncated() && damaged_at.is_empty();
-    let left_out = recorded.left_out().counts();
+    let complete = !recorded.recording().is_truncated() && damaged_at.is_empty();
+    let left_out = recorded.recording().left_out().counts();
     let ScanTimes { scans, gaps, clock_steps, .. } = &mut times;
     if stamps.stands() || log_times.stands() {
         clock_steps.clear();
@@ -77,7 +77,7 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
     let asked = rate.map(|rate| format!("{asked}, asked for at {rate}")).unwrap_or(asked);
     let intensities = if has_intensities { ", with intensities" } else { "" };
     let mut end = Vec::new();
-    if recorded.is_truncated() {
+    if recorded.recording().is_truncated() {
         end.push("its end is missing or damaged".to_owned());
     }
     if let Some(first) = damaged_at.first() {
@@ -115,7 +115,7 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
         },
         ("complete", json!(complete), end),
     ];
-    rows.push(compression_row(&recorded.chunk_bytes()));
+    rows.push(compression_row(&recorded.recording().chunk_bytes()));
     rows.extend(source_row(&recorded));
     // The row of the clock has those that were set back.
     let faults = [

@@ -44,7 +44,7 @@ impl Reel {
             positions.push(scans.position());
         }
         if positions.is_empty() {
-            let (left_out, topics) = (scans.left_out().counts(), Vec::new());
+            let (left_out, topics) = (scans.recording().left_out().counts(), Vec::new());
             return Err(recorded.no_scans(&RecordingError::NoScans { left_out, topics }));
         }
         let version = scans.version();
