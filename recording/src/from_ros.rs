@@ -201,7 +201,6 @@ fn value(range: f32, geometry: &Geometry) -> u32 {
 mod tests {
     use super::*;
     use crate::ros;
-    use tokio_scip::Geometry;
 
     /// A URG-04LX in SCIP 1.1, and sensors of each kind in SCIP 2: name, limits, resolution.
     fn models() -> Vec<Model> {
@@ -238,25 +237,6 @@ mod tests {
                 assert_eq!(read.distance(), measured.distance(), "{sent}, {model:?}");
                 let is_far = |range: f32| range == f32::INFINITY;
                 assert_eq!(is_far(read.range()), is_far(measured.range()), "{sent}, {model:?}");
-            }
-        }
-    }
-
-    #[test]
-    fn foreign_ranges_keep_their_meaning() {
-        for model in models() {
-            let geometry = model.geometry();
-            let max = *geometry.distances().end();
-            // Too near, or no number that a range can have.
-            for range in [f32::NEG_INFINITY, f32::NAN, -1.0, 0.0, 0.0004] {
-                assert!(geometry.measurement(value(range, &geometry)).range().is_nan(), "{range}");
-            }
-            for range in [f32::INFINITY, 1e30, (max + 1) as f32 / 1000.0] {
-                assert_eq!(geometry.measurement(value(range, &geometry)).range(), f32::INFINITY);
-            }
-            // Error codes of `urg_node`.
-            for code in [1, 6, 19] {
-                assert_eq!(value(code as f32 / 1000.0, &geometry), code);
             }
         }
     }
@@ -312,42 +292,5 @@ mod tests {
         ] {
             assert_eq!(MessageScan::from_message(&other, None), None);
         }
-    }
-
-    #[test]
-    fn clusters_of_urg_node_are_read() {
-        for cluster in 1..=99 {
-            let window = Window::DETECTION.with_cluster_count(cluster).unwrap();
-            let angle = |step: u16| Geometry::URG_04LX.degrees(step).to_radians();
-            let (angle_min, angle_max) = (angle(44), angle(725));
-            let theirs = LaserScan { angle_min, angle_max, ..message(window) };
-            let read = MessageScan::from_message(&theirs, None).unwrap();
-            let found = read.stream.window;
-            assert_eq!(found.points(), window.points());
-            // With one step in the last cluster, the angles may also be the middles of clusters.
-            let is_both = cluster % 2 == 1 && window.steps() % usize::from(cluster) == 1;
-            assert!(found == window || is_both, "{cluster}: {found}");
-            let known = Stream { model: Model::default(), window };
-            let read = MessageScan::from_message(&theirs, [known.clone()]).unwrap();
-            assert_eq!(read.stream, known);
-        }
-    }
-
-    #[test]
-    fn an_implausible_revolution_is_unknown() {
-        let ours = message(Window::DETECTION);
-        let read = |scan_time| {
-            let message = LaserScan { scan_time, ..ours.clone() };
-            let read = MessageScan::from_message(&message, None).unwrap();
-            (read.scan_time, read.stamp)
-        };
-        let nominal = read(0.1).1;
-        for scan_time in [0.0, -0.1, 100.0, 1e8, f32::NAN, f32::INFINITY, f32::MAX] {
-            assert_eq!(read(scan_time).0, None, "{scan_time}");
-            let stamp = read(scan_time).1;
-            let error = stamp.duration_since(nominal).unwrap_or_else(|error| error.duration());
-            assert!(error < Duration::from_micros(1), "{scan_time}: {error:?}");
-        }
-        assert_eq!(read(0.025).0, Some(Duration::from_secs_f32(0.025)));
     }
 }

@@ -36,12 +36,14 @@ const SCANNERS: [Scanner; 3] = [
 ];
 
 /// Ranges in a message besides distances.
-const RANGES: [f32; 14] = [
+const RANGES: [f32; 16] = [
     f32::INFINITY,
+    1e30,
     f32::NEG_INFINITY,
     f32::NAN,
     0.0,
     -0.5,
+    0.0004,
     0.001,
     0.006,
     0.019,
@@ -97,7 +99,7 @@ impl Scanner {
 }
 
 /// Time of a revolution in a message, and in nanoseconds what it stands for: `None` is the nominal one.
-const REVOLUTIONS: [(f32, Option<i64>); 7] = [
+const REVOLUTIONS: [(f32, Option<i64>); 9] = [
     (0.1, Some(SECOND / 10)),
     (0.025, Some(SECOND / 40)),
     (0.0, None),
@@ -105,6 +107,8 @@ const REVOLUTIONS: [(f32, Option<i64>); 7] = [
     (1e8, None),
     (-0.1, None),
     (f32::NAN, None),
+    (f32::INFINITY, None),
+    (f32::MAX, None),
 ];
 
 #[derive(Debug, Clone, PartialEq)]
@@ -156,7 +160,8 @@ const FORMS: [Form; 10] = [
 /// Window that a message can tell: the last cluster of a message by definition is whole.
 fn any_window(random: &mut Random, form: Form, scanner: Scanner) -> Window {
     loop {
-        let cluster = 1 + random.below(12) as u16;
+        let most = *random.pick(&[12, 99]);
+        let cluster = 1 + random.below(most) as u16;
         let points = 2 + random.below(30) as u16;
         let rest = match form {
             Form::UrgNode => random.below(cluster.into()) as u16,
@@ -290,9 +295,10 @@ fn bag(random: &mut Random, described: Option<(Scanner, Window)>) -> (Vec<u8>, T
             scanner = if is_mixed { *random.pick(&SCANNERS) } else { scanner };
             window = any_window(random, Form::Defined, scanner);
         }
-        let (scanner, written) = match form {
-            Form::UrgNode => (scanner, any_window(random, form, scanner)),
-            _ => described.filter(|_| random.once_in(2)).unwrap_or((scanner, window)),
+        let (scanner, written) = match described.filter(|_| random.once_in(2)) {
+            Some(described) => described,
+            None if form == Form::UrgNode => (scanner, any_window(random, form, scanner)),
+            None => (scanner, window),
         };
         let (data, expected) = message(random, form, scanner, written, stamp);
         let channel_id = match form {
