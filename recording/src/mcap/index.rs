@@ -248,9 +248,10 @@ mod tests {
             let mut writer = chunks(999);
             (0..count).for_each(|_| writer.metadata(&name, &BTreeMap::new()).unwrap());
             writer.flush().unwrap();
-            assert_eq!(writer.index().chunk_indexes.capacity() > 0, is_kept);
-            assert_eq!(writer.index().metadata_indexes.capacity() > 0, is_kept);
-            let file = writer.finish().unwrap();
+            assert_eq!(writer.index.chunk_indexes.capacity() > 0, is_kept);
+            assert_eq!(writer.index.metadata_indexes.capacity() > 0, is_kept);
+            writer.end().unwrap();
+            let file = writer.out;
             assert_eq!(::mcap::Summary::read(&file).unwrap().is_some(), is_kept);
             assert_eq!(::mcap::MessageStream::new(&file).unwrap().count(), 999);
         }

@@ -16,14 +16,14 @@ const CHUNK_BYTES: usize = 768 << 10;
 
 /// Writes an MCAP file.
 pub(in super::super) struct McapWriter<W> {
-    out: W,
+    pub(super) out: W,
     /// Number of bytes written.
     offset: u64,
     chunk: OpenChunk,
     compressor: Compressor,
     /// Record of the latest compressed chunk.
     compressed: Vec<u8>,
-    index: Index,
+    pub(super) index: Index,
     /// Bytes of messages since a chunk began with all channels, in a copy. A recording repeats
     /// them in each chunk, so that losing one chunk does not affect the others.
     since_channels: Option<usize>,
@@ -96,11 +96,6 @@ impl<W: Write> McapWriter<W> {
         self.index.entries()
     }
 
-    #[cfg(test)]
-    pub(super) fn index(&self) -> &Index {
-        &self.index
-    }
-
     /// Writes a schema or channel, unless it was written before. `content` follows its number.
     pub(in super::super) fn declare(&mut self, kind: u8, number: u16, content: &[u8]) {
         // First, because a chunk begins with the channels known before it.
@@ -157,13 +152,6 @@ impl<W: Write> McapWriter<W> {
     pub(in super::super) fn flush(&mut self) -> io::Result<()> {
         self.end_chunk()?;
         self.out.flush()
-    }
-
-    /// Writes the index and the end of the file, and returns the inner writer.
-    #[cfg(test)]
-    pub(super) fn finish(mut self) -> io::Result<W> {
-        self.end()?;
-        Ok(self.out)
     }
 
     /// Writes the index and the end of the file. Write nothing after it.

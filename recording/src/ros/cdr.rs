@@ -28,24 +28,19 @@ impl<'a> CdrWriter<'a> {
     }
 
     pub(super) fn i32(&mut self, value: i32) {
-        self.align();
-        self.out.extend_from_slice(&value.to_le_bytes());
+        self.number(value.to_le_bytes());
     }
 
     pub(super) fn u32(&mut self, value: u32) {
-        self.align();
-        self.out.extend_from_slice(&value.to_le_bytes());
+        self.number(value.to_le_bytes());
     }
 
     pub(super) fn f32(&mut self, value: f32) {
-        self.align();
-        self.out.extend_from_slice(&value.to_le_bytes());
+        self.number(value.to_le_bytes());
     }
 
     pub(super) fn f64(&mut self, value: f64) {
-        let written = self.out.len() - HEADER.len();
-        self.out.resize(HEADER.len() + written.next_multiple_of(8), 0);
-        self.out.extend_from_slice(&value.to_le_bytes());
+        self.number(value.to_le_bytes());
     }
 
     /// Writes a string: its length with the NUL, its bytes, the NUL.
@@ -65,10 +60,11 @@ impl<'a> CdrWriter<'a> {
         parts.iter().for_each(|part| self.out.extend_from_slice(part));
     }
 
-    /// Pads to a multiple of four, the size of every number here but `u8` and `f64`. The
-    /// header has four bytes, too.
-    fn align(&mut self) {
-        self.out.resize(self.out.len().next_multiple_of(4), 0);
+    /// Pads to a multiple of the number's size.
+    fn number<const N: usize>(&mut self, bytes: [u8; N]) {
+        let written = self.out.len() - HEADER.len();
+        self.out.resize(HEADER.len() + written.next_multiple_of(N), 0);
+        self.out.extend_from_slice(&bytes);
     }
 }
 
