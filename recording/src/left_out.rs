@@ -2,9 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use serde::Serialize;
+
+use super::lock;
 
 /// Number of messages that were left out for one reason. `Display` writes it in words, such as
 /// `50 scans of another window (the first: steps 100..=400)`.
@@ -90,7 +92,7 @@ pub struct LeftOutCounter(Arc<Mutex<BTreeMap<LeftOutReason, (u64, String)>>>);
 impl LeftOutCounter {
     /// Returns the counts so far, one for each reason.
     pub fn counts(&self) -> Vec<LeftOut> {
-        let counts = self.lock();
+        let counts = lock(&self.0);
         let counts = counts.iter().map(|(reason, (messages, first))| LeftOut {
             reason: *reason,
             messages: *messages,
@@ -100,11 +102,7 @@ impl LeftOutCounter {
     }
 
     pub(super) fn add(&self, reason: LeftOutReason, details: impl fmt::Display) {
-        self.lock().entry(reason).or_insert_with(|| (0, details.to_string())).0 += 1;
-    }
-
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<LeftOutReason, (u64, String)>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0).entry(reason).or_insert_with(|| (0, details.to_string())).0 += 1;
     }
 }
 

@@ -119,6 +119,8 @@ mod sync;
 mod topics;
 mod writer;
 
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
 pub use self::builder::RecorderBuilder;
 pub use self::copy::{Copied, cut, repair};
 pub use self::error::RecordingError;
@@ -140,6 +142,11 @@ pub use urg_emulator::ReplayPace;
 
 /// Name of the metadata record.
 const METADATA: &str = "tokio_scip";
+
+/// Locks what one thread changes and another reads, even after a panic.
+fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

@@ -4,11 +4,13 @@
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
 
-use super::RecordingError;
 use super::file::RecordingFile;
 use super::output::Output;
+use super::progress::Progress;
+use super::{RecordingError, lock};
 
 /// With this many index entries, a file is split at the next opportunity. Less than the maximum,
 /// because the file grows until then.
@@ -51,10 +53,7 @@ pub(super) struct Parts {
     number: u32,
     /// Finished files, oldest first. Empty unless old files are removed.
     old: Vec<OldPart>,
-    /// True once a file could not be removed.
-    pub(super) cannot_remove: bool,
-    /// True once a file might not grow.
-    pub(super) has_outgrown: bool,
+    progress: Arc<Mutex<Progress>>,
     wrap: Wrap,
 }
 
@@ -72,13 +71,13 @@ impl Parts {
         limits: Limits,
         path: Option<PathBuf>,
         current: &Path,
+        progress: Arc<Mutex<Progress>>,
         wrap: impl Fn(Output) -> Box<dyn Write + Send> + Send + 'static,
     ) -> Self {
         let last = path.as_ref().and_then(|path| begun_parts(path).pop());
         let number = last.map_or(1, |(number, _)| number);
         let (old, wrap) = (Vec::new(), Box::new(wrap));
-        let (cannot_remove, has_outgrown) = (false, false);
-        let mut parts = Self { limits, path, number, old, cannot_remove, has_outgrown, wrap };
+        let mut parts = Self { limits, path, number, old, progress, wrap };
         parts.find_old(current);
         parts
     }
@@ -100,7 +99,7 @@ impl Parts {
     /// Limits later files after one could not grow beyond `length`. They stay smaller, so that their
     /// index fits, too.
     pub(super) fn stay_below(&mut self, length: u64) {
-        self.has_outgrown = true;
+        lock(&self.progress).has_outgrown_file = true;
         let limit = length - length / 16;
         self.limits.bytes = Some(self.limits.bytes.map_or(limit, |bytes| bytes.min(limit)));
     }
@@ -125,6 +124,7 @@ impl Parts {
             };
             let out = file.begin().map_err(|error| failed(&error, io::ErrorKind::Other))?;
             self.find_old(&path);
+            lock(&self.progress).files += 1;
             return Ok((self.wrap)(out));
         }
     }
@@ -161,7 +161,8 @@ impl Parts {
         };
         unwanted.extend(self.old.extract_if(.., is_too_much));
         for part in unwanted {
-            self.cannot_remove |= part.remove().is_err();
+            let is_removed = part.remove().is_ok();
+            lock(&self.progress).cannot_remove |= !is_removed;
         }
     }
 }
@@ -243,7 +244,7 @@ mod tests {
         let (path, second) = (Path::new("run.mcap"), Duration::from_secs(1));
         let parts = |bytes| {
             let limits = Limits { bytes, ..Limits::default() };
-            Parts::new(limits, Some(path.to_owned()), path, |out| out.writer)
+            Parts::new(limits, Some(path.to_owned()), path, Arc::default(), |out| out.writer)
         };
         assert!(!parts(None).is_full(second, MAX_PART_BYTES - 1, 1));
         assert!(parts(None).is_full(second, MAX_PART_BYTES, 1));

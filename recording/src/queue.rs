@@ -6,13 +6,12 @@ use std::io::{self, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, RecvTimeoutError};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use tokio::sync::{oneshot, watch};
 use tokio::time::Instant;
 
-use super::RecordingError;
 use super::held::Held;
 use super::item::WriteItem;
 use super::mcap::Compression;
@@ -22,6 +21,7 @@ use super::pending::PendingReplies;
 use super::progress::Progress;
 use super::sync::Syncer;
 use super::writer::Writer;
+use super::{RecordingError, lock};
 
 /// Largest number of bytes that wait for a slow disk. At 10 scans per second, this takes
 /// about three minutes. Of a UST it takes 20 s.
@@ -40,7 +40,7 @@ pub(super) struct Queue {
     held: Mutex<Option<Held>>,
     /// Number of waiting bytes, or `None` once the thread has ended.
     waiting: watch::Sender<Option<usize>>,
-    progress: Mutex<Progress>,
+    progress: Arc<Mutex<Progress>>,
     failure: Mutex<Option<RecordingError>>,
     /// `None` if nothing is synced.
     syncer: Option<Syncer>,
@@ -64,7 +64,7 @@ impl Queue {
             pending: Mutex::default(),
             held: Mutex::new(before.map(|span| Held::new(span, HELD_BYTES))),
             waiting: watch::Sender::new(Some(0)),
-            progress: Mutex::new(Progress { files: 1, ..Progress::default() }),
+            progress: Arc::new(Mutex::new(Progress { files: 1, ..Progress::default() })),
             failure: Mutex::new(None),
             syncer,
         };
@@ -87,12 +87,9 @@ impl Queue {
         let first = Counted::wrap(out, &queue);
         let further = {
             let queue = Arc::clone(&queue);
-            move |out| {
-                queue.counts().files += 1;
-                Counted::wrap(out, &queue)
-            }
+            move |out| Counted::wrap(out, &queue)
         };
-        let parts = Parts::new(limits, path, current, further);
+        let parts = Parts::new(limits, path, current, Arc::clone(&queue.progress), further);
         let writer = Writer::new(first, parts, frame_id, compression);
         let writer = writer.map_err(RecordingError::write)?;
         let thread = {
@@ -109,12 +106,13 @@ impl Queue {
     /// Takes the next item. If too many bytes wait already, or the thread has ended, the item is lost
     /// and counted.
     pub(super) fn push(&self, item: WriteItem) {
-        self.pending().take(item, Instant::now().into_std(), |item| self.hold(item));
+        // Locked until the item is queued, so that no later one overtakes it.
+        lock(&self.pending).take(item, Instant::now().into_std(), |item| self.hold(item));
     }
 
     /// Queues an item, or holds it until the trigger.
     fn hold(&self, item: WriteItem) {
-        match self.held().as_mut() {
+        match lock(&self.held).as_mut() {
             Some(held) => held.push(item, Instant::now()),
             None => self.queue(item),
         }
@@ -123,17 +121,8 @@ impl Queue {
     /// Queues the held items and all later ones.
     pub(super) fn release(&self) {
         // Locked until the end, so that no later item overtakes one of them.
-        let mut held = self.held();
+        let mut held = lock(&self.held);
         held.take().into_iter().flatten().for_each(|item| self.queue(item));
-    }
-
-    /// Locked until an item is queued, so that no later one overtakes it.
-    fn pending(&self) -> MutexGuard<'_, PendingReplies> {
-        self.pending.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn held(&self) -> MutexGuard<'_, Option<Held>> {
-        self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn queue(&self, item: WriteItem) {
@@ -147,14 +136,10 @@ impl Queue {
             more.is_some()
         });
         let queued = fits && self.items.send(item).is_ok();
-        let mut counts = self.counts();
+        let mut counts = lock(&self.progress);
         let Progress { scans, replies, lost, lost_replies, .. } = &mut *counts;
         *if queued { scans } else { lost } += u64::from(is_scan);
         *if queued { replies } else { lost_replies } += u64::from(is_reply);
-    }
-
-    fn counts(&self) -> MutexGuard<'_, Progress> {
-        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Waits until at most [`LOW_WATER_BYTES`] bytes wait, or the thread has ended.
@@ -168,7 +153,7 @@ impl Queue {
     /// Ends the file after all queued items. The receiver resolves once the file is
     /// written, or with an error if the thread has ended before.
     pub(super) fn finish(&self) -> oneshot::Receiver<()> {
-        self.pending().end(|item| self.hold(item));
+        lock(&self.pending).end(|item| self.hold(item));
         let (done, finished) = oneshot::channel();
         // Fails if the thread has ended, and the file with it.
         let _ = self.items.send(WriteItem::Finish(done));
@@ -185,13 +170,13 @@ impl Queue {
         Progress {
             late_syncs: self.syncer.as_ref().map_or(0, Syncer::late),
             cannot_sync: self.syncer.as_ref().is_some_and(Syncer::is_unsupported),
-            ..*self.counts()
+            ..*lock(&self.progress)
         }
     }
 
     /// Error of writing, if it failed.
     pub(super) fn failure(&self) -> Option<RecordingError> {
-        self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        lock(&self.failure).clone()
     }
 
     /// Waits until everything written is on the disk.
@@ -210,7 +195,7 @@ impl Queue {
         if let Err(error) = outcome.map_err(RecordingError::write) {
             let cause = std::error::Error::source(&error);
             tracing::error!(cause = cause.map(tracing::field::display), "{error}");
-            self.failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+            lock(&self.failure).get_or_insert(error);
         }
     }
 }
@@ -221,10 +206,6 @@ fn write_all(
     items: &mpsc::Receiver<WriteItem>,
     queue: &Queue,
 ) -> io::Result<()> {
-    let report = |writer: &Writer| {
-        let mut counts = queue.counts();
-        (counts.cannot_remove, counts.has_outgrown_file) = writer.troubles();
-    };
     loop {
         let item = match writer.until_flush() {
             None => items.recv().map_err(|_| RecvTimeoutError::Disconnected),
@@ -241,7 +222,6 @@ fn write_all(
             Ok(WriteItem::Finish(done)) => {
                 // First, because the waiting recorder looks for the error at once.
                 queue.fail(writer.finish());
-                report(&writer);
                 // Unlocks the file.
                 drop(writer);
                 // Fails if the recorder's future was dropped.
@@ -256,7 +236,6 @@ fn write_all(
                 return writer.finish().and_then(|()| queue.sync_rest());
             }
         }
-        report(&writer);
         queue.waiting.send_modify(|waiting| *waiting = waiting.map(|waiting| waiting - weight));
         // While items keep arriving, the wait above never times out, so flush here when
         // due.
@@ -293,7 +272,7 @@ impl Counted {
 impl Write for Counted {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let written = self.catch_panic(|out| out.write(bytes))?;
-        self.queue.counts().bytes += written as u64;
+        lock(&self.queue.progress).bytes += written as u64;
         Ok(written)
     }
 

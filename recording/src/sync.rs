@@ -3,9 +3,10 @@
 
 use std::io;
 use std::sync::mpsc::{self, RecvTimeoutError};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use super::lock;
 use super::output::Durable;
 
 /// Handle of the thread, which ends with the last clone.
@@ -25,10 +26,6 @@ struct SyncState {
     /// Set once the file system has refused to sync.
     is_unsupported: bool,
     failure: Option<io::Error>,
-}
-
-fn lock(state: &Mutex<SyncState>) -> MutexGuard<'_, SyncState> {
-    state.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Syncs, and counts it if it takes longer than the interval.

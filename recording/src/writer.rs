@@ -157,11 +157,6 @@ impl Writer {
         Ok(())
     }
 
-    /// Returns whether an old file could not be removed, and whether a file might not grow.
-    pub(super) fn troubles(&self) -> (bool, bool) {
-        (self.parts.cannot_remove, self.parts.has_outgrown)
-    }
-
     /// Writes the index and the end of the file.
     pub(super) fn finish(&mut self) -> io::Result<()> {
         self.flush()?;
@@ -308,7 +303,8 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("scip-chunks-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let path = folder.join("run.mcap");
-        let parts = Parts::new(Limits::default(), Some(path.clone()), &path, |out| out.writer);
+        let (limits, first) = (Limits::default(), Some(path.clone()));
+        let parts = Parts::new(limits, first, &path, Default::default(), |out| out.writer);
         let out = RecordingFile::open(&path, false).unwrap().begin().unwrap().writer;
         let mut writer = Writer::new(out, parts, "laser".to_owned(), Compression::Plain).unwrap();
         let mut times = writer.began;
