@@ -100,21 +100,14 @@ impl Window {
     /// Measures the record here, or returns `None` if no record begins here. A record whose lengths
     /// the file does not have to its end reaches beyond it.
     pub(super) fn measure(&mut self) -> Result<Option<Extent>, RecordingError> {
-        let mut wanted = 1;
-        loop {
-            let bytes = self.peek(wanted)?;
-            match measure(bytes, after(bytes, wanted)) {
-                Ok(extent) => return Ok(Some(extent)),
-                Err(Unmeasured::Wrong) => return Ok(None),
-                Err(Unmeasured::Needs(more)) if bytes.len() < more && bytes.len() >= wanted => {
-                    wanted = more;
-                }
-                Err(Unmeasured::Needs(_)) => {
-                    let kind = bytes.first().copied().unwrap_or_default();
-                    return Ok(Some(Extent::endless(kind)));
-                }
+        self.decide(|bytes, after| match measure(bytes, after) {
+            Ok(extent) => Ok(Some(extent)),
+            Err(Unmeasured::Wrong) => Ok(None),
+            Err(Unmeasured::Needs(more)) if bytes.len() < more && after == After::More => Err(more),
+            Err(Unmeasured::Needs(_)) => {
+                Ok(Some(Extent::endless(bytes.first().copied().unwrap_or_default())))
             }
-        }
+        })
     }
 
     /// Returns true if a record of these kinds begins `at` bytes from here.
@@ -128,14 +121,15 @@ impl Window {
     }
 
     /// Reads ahead until enough bytes are known to judge them.
-    fn decide(
+    fn decide<T>(
         &mut self,
-        decision: impl Fn(&[u8], After) -> Result<bool, usize>,
-    ) -> Result<bool, RecordingError> {
+        decision: impl Fn(&[u8], After) -> Result<T, usize>,
+    ) -> Result<T, RecordingError> {
         let mut wanted = 1;
         loop {
             let bytes = self.peek(wanted)?;
-            match decision(bytes, after(bytes, wanted)) {
+            let after = if bytes.len() < wanted { After::EndOfFile } else { After::More };
+            match decision(bytes, after) {
                 Ok(outcome) => return Ok(outcome),
                 Err(more) => wanted = more,
             }
@@ -163,9 +157,4 @@ impl Window {
         }
         Ok(false)
     }
-}
-
-/// Tells whether the file may go on after the bytes that were found for `wanted`.
-fn after(found: &[u8], wanted: usize) -> After {
-    if found.len() < wanted { After::EndOfFile } else { After::More }
 }
