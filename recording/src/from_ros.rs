@@ -110,9 +110,14 @@ fn assumed(message: &LaserScan, resolution: u16) -> Option<Model> {
         return Some(Model::default());
     }
     let (name, speed) = if resolution == 1024 { ("URG", "600") } else { ("UST", "2400") };
-    let front = (resolution / 8 * 3).to_string();
-    let (last, resolution) = ((resolution / 4 * 3).to_string(), resolution.to_string());
-    let [min, max] = [min.max(1.0), max].map(|limit| limit.round().to_string());
+    model(name, [min.max(1.0), max].map(|limit| limit.round() as u32), resolution, speed)
+}
+
+/// Sensor of this name, these limits in millimetres, resolution and revolutions a minute.
+fn model(name: &str, [min, max]: [u32; 2], resolution: u16, speed: &str) -> Option<Model> {
+    let (last, front) = (resolution / 4 * 3, resolution / 8 * 3);
+    let numbers = [min, max, resolution.into(), last.into(), front.into()];
+    let [min, max, resolution, last, front] = numbers.map(|number| number.to_string());
     let pairs = [
         ("MODL", name),
         ("DMIN", &*min),
@@ -204,27 +209,16 @@ mod tests {
 
     /// A URG-04LX in SCIP 1.1, and sensors of each kind in SCIP 2: name, limits, resolution.
     fn models() -> Vec<Model> {
-        let told = [
-            ("URG-04LX", 20, 5600, 1024),
-            ("UTM-30LX", 23, 60_000, 1440),
-            ("UST-10LX", 20, 30_000, 1440),
-            ("X", 100, 100_000, 1440),
+        let models = [
+            ("URG-04LX", [20, 5600], 1024),
+            ("UTM-30LX", [23, 60_000], 1440),
+            ("UST-10LX", [20, 30_000], 1440),
+            ("X", [100, 100_000], 1440),
         ];
-        let told = told.map(|(name, min, max, resolution)| {
-            let pairs = [
-                ("MODL", name.to_owned()),
-                ("DMIN", min.to_string()),
-                ("DMAX", max.to_string()),
-                ("ARES", resolution.to_string()),
-                ("AMIN", "0".to_owned()),
-                ("AMAX", (resolution / 4 * 3).to_string()),
-                ("AFRT", (resolution / 8 * 3).to_string()),
-                ("SCAN", "2400".to_owned()),
-            ];
-            let pairs = pairs.iter().map(|(key, value)| (*key, &**value));
-            Parameters::from_pairs(pairs).unwrap().into()
+        let models = models.map(|(name, limits, resolution)| {
+            model(name, limits, resolution, "2400").expect("invalid parameters")
         });
-        [Model::default()].into_iter().chain(told).collect()
+        [Model::default()].into_iter().chain(models).collect()
     }
 
     #[test]

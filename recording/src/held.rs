@@ -47,20 +47,15 @@ impl Held {
             }
         }
     }
-}
 
-impl IntoIterator for Held {
-    type Item = WriteItem;
-    type IntoIter = Box<dyn Iterator<Item = WriteItem>>;
-
-    /// In the order of the file, whose time begins with the first item.
-    fn into_iter(mut self) -> Self::IntoIter {
+    /// Returns the items in the order of the file, whose time begins with the first one.
+    pub(super) fn into_items(mut self) -> impl Iterator<Item = WriteItem> {
         for item in self.identity.values_mut() {
             if let (WriteItem::Reply { times, .. }, Some((at, _))) = (item, self.items.front()) {
                 times.steady = at.into_std();
             }
         }
         let head = self.metadata.into_iter().chain(self.identity.into_values());
-        Box::new(head.chain(self.items.into_iter().map(|(_, item)| item)))
+        head.chain(self.items.into_iter().map(|(_, item)| item))
     }
 }

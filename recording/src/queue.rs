@@ -122,7 +122,8 @@ impl Queue {
     pub(super) fn release(&self) {
         // Locked until the end, so that no later item overtakes one of them.
         let mut held = lock(&self.held);
-        held.take().into_iter().flatten().for_each(|item| self.queue(item));
+        let items = held.take().into_iter().flat_map(Held::into_items);
+        items.for_each(|item| self.queue(item));
     }
 
     fn queue(&self, item: WriteItem) {
