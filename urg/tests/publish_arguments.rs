@@ -176,3 +176,14 @@ fn an_environment_that_ros_2_does_not_know_is_refused() {
         assert!(error.contains(&format!("invalid {name}")), "{name}={value}: {error}");
     }
 }
+
+#[test]
+fn what_urg_node2_has_besides_is_told() {
+    let told = |parameter| {
+        let parameters = ["--ros-args", "-p", parameter];
+        let output = program("publish /dev/urg-absent").args(parameters).output().unwrap();
+        String::from_utf8(output.stderr).unwrap().contains("there is no life cycle")
+    };
+    assert!(told("angle_min:=-3.14"));
+    assert!(!told("frame_id:=laser"));
+}

@@ -205,6 +205,12 @@ impl RosArgs {
                 }
             }
         }
+        if urg_node.are_used() {
+            notice(
+                "there is no life cycle: it publishes at once, and a launch file that waits for \
+                 a transition waits forever",
+            );
+        }
         options.extend(urg_node.options().map_err(usage)?);
         Ok(options)
     }

@@ -56,6 +56,11 @@ impl UrgNodeParameters {
         })
     }
 
+    /// Returns true if the node is started in place of one of these.
+    pub(super) fn are_used(&self) -> bool {
+        !self.0.is_empty()
+    }
+
     /// Options that mean the same.
     pub(super) fn options(&self) -> Result<Vec<String>, String> {
         let value = |name| self.0.get(name).map(String::as_str).filter(|value| !value.is_empty());
