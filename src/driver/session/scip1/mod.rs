@@ -36,7 +36,7 @@ use crate::{BaudRate, Window};
 
 /// A sensor answers a command with one frame of at most 1,576 bytes.
 pub(super) const LIMITS: Limits = Limits { frame: MAX_FRAME, frames: 64, bytes: 64 * 1024 };
-/// Before anything has answered.
+/// For the first command, before anything has answered.
 pub(super) const FIRST_LIMITS: Limits = Limits { frame: MAX_FRAME, ..scip2::LIMITS };
 /// How long after a reply a faulty line may deliver a copy of it.
 pub(super) const COPY_TIME: Duration = Duration::from_millis(20);
