@@ -48,6 +48,10 @@ impl ModelSensor {
                 with_status(b"00")
             }
             [b'G', b'D', ..] if !self.is_laser_on => with_status(b"10"),
+            // It has measured nothing since it was switched on.
+            [b'G', b'D', ..] if self.measured_at(self.newest()) < self.powered_at => {
+                with_status(b"0M")
+            }
             [b'G', b'D', ..] => {
                 let number = self.newest();
                 self.record(number, self.measured_at(number), false);
