@@ -273,6 +273,23 @@ async fn t14_a_copy_on_a_slow_line_is_no_scan() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_stream_that_would_fill_the_line_is_polled() {
+    // 100 ms of each 100 ms, and 75 ms.
+    for (last, is_polled) in [(472, true), (420, false)] {
+        let emulator = numbered(Model::Urg04lx).firmware(Firmware::V31);
+        let emulator = emulator.baud_rate(BaudRate::B57600).build();
+        let asking = builder().protocol(Protocol::Scip2).baud_rate(BaudRate::B57600);
+        let sensor = asking.connect(emulator.clone()).await.unwrap();
+        let window = Window::new(300..=last).unwrap();
+        let mut stream = sensor.scans(window, Rate::UNLIMITED).await.unwrap();
+        for _ in 0..20 {
+            revolution(&next(&mut stream).await);
+        }
+        assert_eq!(commands(&emulator, b"MD") == 0, is_polled, "{window}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_stream_of_another_program_leaves_the_laser_as_it_was() {
     for on in [true, false] {
         let emulator = numbered(Model::Ust10lx).build();

@@ -102,9 +102,9 @@ impl Scip2<'_> {
             };
             let (mut times, wire_len) = (received.times, received.wire_len());
             let mut outcome = Err(None);
-            let (mut is_streamed, mut is_stream) = (false, false);
+            let (mut is_streamed, mut like_a_stream) = (false, false);
             if let FoundFrame::Reply(bytes) = received.frame() {
-                is_stream = is_of_a_stream(bytes);
+                like_a_stream = is_like_a_stream(bytes);
                 let own = find_own(request, bytes, &times, baud_rate);
                 let answered = own.filter(|_| !is_probe).map(|_| *request);
                 self.line.observers.pass(|| raw_reply(bytes, answered, &times));
@@ -142,14 +142,14 @@ impl Scip2<'_> {
                     return Err(record_malformed(&self.line.shared, request, error, wire_len));
                 }
                 Err(None) if is_streamed => {}
-                Err(None) => self.record_stray(wire_len, is_stream),
+                Err(None) => self.record_stray(wire_len, like_a_stream),
             }
         }
     }
 
     /// Counts a frame that answers nothing of this session now.
-    pub(super) fn record_stray(&mut self, wire_len: u64, is_stream: bool) {
-        self.state.has_stray_frames |= is_stream;
+    pub(super) fn record_stray(&mut self, wire_len: u64, like_a_stream: bool) {
+        self.state.has_stray_frames |= like_a_stream;
         self.line.shared.counters.stats().bytes_skipped += wire_len;
     }
 
@@ -171,9 +171,9 @@ impl Scip2<'_> {
     }
 }
 
-/// Returns true for the beginning of a scan that the sensor sends unasked. A late reply of this session
-/// begins with another command.
-pub(super) fn is_of_a_stream(frame: &[u8]) -> bool {
+/// Returns true if a frame begins like the scans of a stream. A late reply to this session begins with
+/// another command.
+pub(super) fn is_like_a_stream(frame: &[u8]) -> bool {
     matches!(frame.first(), Some(b'M' | b'N'))
 }
 

@@ -48,7 +48,7 @@ pub(super) struct State {
     /// True if the sensor may send a stream that belongs to no request of this session: another
     /// program may have left it.
     has_stray_frames: bool,
-    /// True if the laser is to be on when such a stream was stopped.
+    /// True if the laser is to be on again after such a stream was stopped.
     keeps_laser: bool,
     /// Smallest selection that the sensor measures.
     one_step: Option<Steps>,

@@ -15,7 +15,7 @@ use super::super::super::schedule::StreamWish;
 use super::super::super::transport::{Expected, ReplyTimes};
 use super::super::errors::record_silence;
 use super::super::{Acquired, Streamed};
-use super::exchange::{accepted, find_own, is_of_a_stream, raw_reply, record_malformed, refusal};
+use super::exchange::{accepted, find_own, is_like_a_stream, raw_reply, record_malformed, refusal};
 use super::{LIMITS, Scip2, State, acquired, steps};
 use crate::codec::FoundFrame;
 use crate::protocol::scip2::{
@@ -30,6 +30,10 @@ const WRAP: Duration = Duration::from_millis(CLOCK as u64);
 /// Longest gap between two scans that counts as lost scans. After a longer one the clock has more
 /// likely jumped.
 const LONGEST_GAP: Duration = Duration::from_secs(10);
+
+/// Largest share of a line's time that a stream may take. A fuller line hardly catches up after a pause:
+/// all scans would come late, at a pace so even that the sensor's clock seemed slow.
+const LARGEST_SHARE: (u32, u32) = (9, 10);
 
 /// Scans that were asked for once, and come until the sensor is told to stop.
 #[derive(Debug, Clone, Copy)]
@@ -60,7 +64,8 @@ impl Scip2<'_> {
         let wire_time = baud_rate
             .zip(reply_len())
             .map_or(Duration::ZERO, |(rate, bytes)| rate.wire_time(bytes));
-        wire_time <= self.state.geometry.revolution() * (u32::from(skipped) + 1)
+        let period = self.state.geometry.revolution() * (u32::from(skipped) + 1);
+        wire_time <= period * LARGEST_SHARE.0 / LARGEST_SHARE.1
     }
 
     /// Starts a stream that holds the window, unless such a one runs.
@@ -158,16 +163,16 @@ impl Scip2<'_> {
                 }
             };
             let (times, wire_len) = (received.times, received.wire_len());
-            let (mut is_own, mut is_stream) = (false, false);
+            let (mut is_own, mut like_a_stream) = (false, false);
             if let FoundFrame::Reply(bytes) = received.frame() {
                 let own = find_own(&request, bytes, &times, baud_rate).map(|_| request);
                 self.line.observers.pass(|| raw_reply(bytes, own, &times));
-                is_stream = is_of_a_stream(bytes);
+                like_a_stream = is_like_a_stream(bytes);
                 is_own = self.state.take_streamed(bytes, &times, baud_rate, &self.line.shared);
             }
             drop(received);
             if !is_own {
-                self.record_stray(wire_len, is_stream);
+                self.record_stray(wire_len, like_a_stream);
             }
             if self.state.waiting.len() > before {
                 self.expect_scan();
