@@ -14,14 +14,15 @@ const MAX_WAIT: Duration = Duration::from_millis(500);
 /// Largest number of bytes that wait.
 const MAX_BYTES: usize = 1 << 20;
 
-/// Replies since the latest scan, in the order in which they came.
+/// Holds each reply back until the recorded stream shows whether it has a scan of it.
 ///
-/// In SCIP 2 a sensor may send more scans than the rate of the stream asks for. When a scan comes,
-/// earlier replies of the sensor's stream are dropped, unless the consumer has missed scans.
+/// In SCIP 2 a sensor may send more scans than the rate of the stream asks for. When the stream's
+/// next scan is recorded, scans that the sensor sent before it are dropped, unless the consumer has
+/// missed some.
 #[derive(Debug, Default)]
 pub(super) struct PendingReplies {
-    /// Window and number of the latest scan. No reply waits before the first one: perhaps nobody
-    /// records scans.
+    /// Window and sequence number of the latest recorded scan. While there is none, replies are written
+    /// at once, because a recording may consist of replies alone.
     latest: Option<(Window, u64)>,
     replies: VecDeque<WriteItem>,
     bytes: usize,
@@ -51,7 +52,8 @@ impl PendingReplies {
         }
     }
 
-    /// Drops the scans that nobody has taken, at the end of the recording, and passes on the rest.
+    /// Ends the recording: passes on the replies that still wait, except for scans, which no consumer
+    /// has taken.
     pub(super) fn end(&mut self, mut write: impl FnMut(WriteItem)) {
         while let Some(reply) = self.pop() {
             if !has_scan(&reply, |_| true) {

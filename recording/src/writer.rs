@@ -41,7 +41,8 @@ impl Times {
         Self { steady: scan.received_at().into_std(), wall: scan.times().stamp }
     }
 
-    /// Wall clock in nanoseconds since 1970 at another instant, if nobody sets it.
+    /// Returns the wall-clock time of `at`, in nanoseconds since 1970. Assumes that the clock was not
+    /// set in between.
     fn continued_to(&self, at: Instant) -> u64 {
         let since = at.saturating_duration_since(self.steady);
         let before = self.steady.saturating_duration_since(at);

@@ -43,8 +43,8 @@ use crate::port::{Port, PortHints};
 const READ_BUFFER_BYTES: usize = 1600;
 /// Room for any command, and the LF before it.
 const WRITE_BUFFER_BYTES: usize = 32;
-/// How late a timer fires at most, unless the whole program was stopped: by a signal, the suspend of a
-/// computer or the pause of a container. tokio may then see the timer before the bytes.
+/// Longest time that a timer is late, unless the whole program was stopped: by a signal, or because its
+/// container was paused. Afterwards tokio may fire the timer before it learns of the bytes.
 const OVERSLEPT: Duration = Duration::from_millis(5);
 
 /// Open port and its buffers. Never flushes the port: bytes leave without it, and the reply

@@ -120,7 +120,7 @@ impl Scip1 {
         let late = |failure| no_reply(command, failure);
         let mut expected = expected(command, &bytes);
         if self.line.transport.latest_at().is_none() {
-            // A server may have kept scans of SCIP 2 for whoever connects next.
+            // A server may first send the scans of SCIP 2 that it received before it had a client.
             expected.limits = &FIRST_LIMITS;
         }
         self.line.transport.send(&bytes, &expected, within).await.map_err(late)?;
