@@ -13,6 +13,7 @@ use super::polls::{PollReply, Polls};
 use super::reply::Values;
 use super::stream::Model;
 use super::{Recording, RecordingError};
+use tokio_scip::protocol::scip2::Stamp;
 use tokio_scip::{Scan, Version};
 
 impl Recording {
@@ -140,6 +141,12 @@ impl RecordedScans {
     pub fn of_one_sensor(mut self) -> Self {
         self.is_of_one_sensor = true;
         self
+    }
+
+    /// Clock of the sensor at the end of the latest scan's revolution, since it was last at 0: once in
+    /// 2^24 ms, and when the sensor starts. `None` in SCIP 1.1, and without the sensor's reply.
+    pub fn sensor_clock(&self) -> Option<Duration> {
+        self.previous.as_ref()?.clock.map(Stamp::since_zero)
     }
 
     /// Log time of the latest scan.

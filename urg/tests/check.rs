@@ -1,12 +1,14 @@
 //! `urg check`, on good and on faulty sensors.
 
 use std::io::Cursor;
+use std::time::Duration;
 
 use serde_json::Value;
-use tokio_scip::Window;
+use tokio_scip::{Rate, Window};
+use urg_emulator::{Emulator, Model};
 
 use super::program::{Emulated, Running, Scratch, failure, run};
-use super::recorded::recording;
+use super::recorded::{recording, recording_of};
 use super::web::Served;
 
 /// Returns each step with its verdict.
@@ -97,6 +99,19 @@ fn replies_faster_than_the_baud_rate_are_reported() {
     run(&format!("record {} {} --count 3", sensor.port, file.path()), 0);
     let recorded = run(&format!("info {}", file.path()), 0).stdout;
     assert!(!recorded.contains("19200"), "{recorded}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_drift_of_a_recorded_clock_is_told() {
+    for (rate, drift) in [(Rate::UNLIMITED, 0.0012), (Rate::hz(7.0), -0.0004)] {
+        let file = Scratch::mcap("check-drift");
+        let sensor = Emulator::builder().model(Model::Ust10lx).clock(Duration::ZERO, drift);
+        recording_of(sensor.build(), file.path(), Window::DETECTION, rate, 500).await;
+        let check = run(&format!("check {}", file.path()), 0).stdout;
+        let expected = if drift > 0.0 { "0.12 % fast" } else { "0.04 % slow" };
+        assert!(check.contains(&format!("sensor clock {expected}\n")), "{check}");
+        assert!(check.ends_with("\nall is well\n"), "{check}");
+    }
 }
 
 #[tokio::test(start_paused = true)]

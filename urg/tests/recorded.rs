@@ -18,10 +18,21 @@ use super::served::{FAST, SCANS, check_held, held};
 
 /// Makes a recording of scans at 10 Hz on the paused clock, and returns their values.
 pub(super) async fn recording(path: &str, window: Window, count: usize) -> Vec<Vec<u64>> {
+    recording_of(Emulator::builder().usb().build(), path, window, Rate::hz(10.0), count).await
+}
+
+/// Makes a recording of an emulated sensor on the paused clock, and returns its scans' values.
+pub(super) async fn recording_of(
+    emulator: Emulator,
+    path: &str,
+    window: Window,
+    rate: Rate,
+    count: usize,
+) -> Vec<Vec<u64>> {
     let recorder = Recorder::create(path).unwrap();
     let builder = Sensor::builder().on_reply(recorder.observer()).depth(1024);
-    let sensor = builder.connect(Emulator::builder().usb().build()).await.unwrap();
-    let scans = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
+    let sensor = builder.connect(emulator).await.unwrap();
+    let scans = sensor.scans(window, rate).await.unwrap();
     recorder.describe(&sensor, &scans).await.unwrap();
     recorded(recorder, scans, count).await
 }

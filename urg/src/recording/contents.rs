@@ -1,5 +1,5 @@
 //! Contents of a recording for `urg info`: time span, number of scans, what was left out, gaps,
-//! sources, and changes of the wall clock. You can pass any of these times to `--range`: they count from the first scan
+//! sources, the clock of the sensor, and changes of the wall clock. You can pass any of these times to `--range`: they count from the first scan
 //! on the steady clock. Stamps use the wall clock, which may jump.
 
 use std::collections::BTreeSet;
@@ -12,6 +12,7 @@ use tokio_scip::{BaudRate, Geometry, Rate, Version, Window};
 use urg_recording::{ChunkBytes, Compression, LeftOut, RecordedScans, Recording, RecordingError};
 
 use super::clock::Clock;
+use super::sensor_clock::SensorClock;
 use crate::format::counted;
 use crate::format::time::{self, clock};
 
@@ -47,6 +48,7 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
     let mut times = ScanTimes::new(rate);
     let mut windows = Windows::default();
     let (mut stamps, mut log_times) = (Clock::default(), Clock::default());
+    let mut sensor_clock = SensorClock::default();
     let (mut damaged_at, mut geometry, mut has_intensities) = (Vec::new(), None, false);
     // Same scans as in a replay.
     let mut recorded = recording.scans().of_one_sensor();
@@ -59,6 +61,9 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
                 stamps.add(scan.times().stamp);
                 log_times.add(recorded.log_time());
                 times.add(recorded.position(), scan.times().stamp);
+                if let Some(clock) = recorded.sensor_clock() {
+                    sensor_clock.add(clock, recorded.position());
+                }
             }
             Err(RecordingError::Damaged { offset, .. }) => damaged_at.push(offset),
             // The sensor may have been away for the whole recording.
@@ -116,6 +121,7 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
         ("complete", json!(complete), end),
     ];
     rows.push(compression_row(&recorded.recording().chunk_bytes()));
+    rows.extend(sensor_clock.row());
     rows.extend(source_row(&recorded));
     // The row of the clock has those that were set back.
     let faults = [

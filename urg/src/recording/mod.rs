@@ -5,4 +5,5 @@ pub(crate) mod contents;
 pub(crate) mod recorded;
 pub(crate) mod reel;
 pub(crate) mod rewrite;
+mod sensor_clock;
 pub(crate) mod span;

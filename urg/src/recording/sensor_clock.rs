@@ -1,0 +1,193 @@
+//! [`SensorClock`]: how fast the clock of a recorded sensor runs, and whether it has jumped.
+
+use std::time::Duration;
+
+use serde_json::json;
+
+use super::contents::Row;
+use crate::format::counted;
+
+/// The clock of SCIP 2 counts milliseconds, with 24 bits.
+const WRAP: f64 = (1 << 24) as f64 / 1000.0;
+/// A scan that is this many seconds off, and by this part of the time since the latest one that was
+/// not, does not fit: it is late, or the clock has jumped. A poll may bring a scan of a revolution ago.
+const TOLERANCE: f64 = 0.25;
+const LARGEST_DRIFT: f64 = 0.01;
+/// Number of scans in a row, all off by the same, that mean a jump.
+const JUMP: u32 = 20;
+/// Seconds that a drift needs: each of its ends is known to about a millisecond.
+const SHORTEST: f64 = 10.0;
+
+/// What the scans read so far tell about the sensor's clock.
+///
+/// Nothing arrives before it is measured, so the clock runs along the earliest arrivals, however late
+/// the others are.
+#[derive(Debug, Default)]
+pub(super) struct SensorClock {
+    /// Latest scan that fits.
+    latest: Option<Reading>,
+    /// How far off the latest scans are that do not fit, and how many of them agree.
+    off: (f64, u32),
+    /// Scans since the latest jump that arrived earliest, as points `(position, ahead)`: the upper part
+    /// of their convex hull.
+    earliest: Vec<(f64, f64)>,
+    longest: Drift,
+    jumps: u64,
+}
+
+/// Reading of the sensor's clock, in seconds.
+#[derive(Debug, Clone, Copy)]
+struct Reading {
+    clock: f64,
+    /// Time since the first scan, on the computer's clock.
+    position: f64,
+    /// How far the sensor's clock has got ahead of the computer's.
+    ahead: f64,
+}
+
+/// Drift over a time in which the clock did not jump.
+#[derive(Debug, Clone, Copy, Default)]
+struct Drift {
+    seconds: f64,
+    /// Seconds by which the clock gains in one second.
+    rate: f64,
+}
+
+impl SensorClock {
+    /// Adds a scan at this position on a steady clock.
+    pub(super) fn add(&mut self, clock: Duration, position: Duration) {
+        let (clock, position) = (clock.as_secs_f64(), position.as_secs_f64());
+        let Some(latest) = self.latest else {
+            return self.start(Reading { clock, position, ahead: 0.0 });
+        };
+        let elapsed = position - latest.position;
+        // Whatever number of times it has wrapped.
+        let gained = (clock - latest.clock - elapsed + WRAP / 2.0).rem_euclid(WRAP) - WRAP / 2.0;
+        let reading = Reading { clock, position, ahead: latest.ahead + gained };
+        if gained.abs() <= TOLERANCE + LARGEST_DRIFT * elapsed {
+            self.off.1 = 0;
+            return self.fit(reading);
+        }
+        self.off = match self.off {
+            (off, count) if count > 0 && (gained - off).abs() <= TOLERANCE => (off, count + 1),
+            _ => (gained, 1),
+        };
+        if self.off.1 == JUMP {
+            self.jumps += 1;
+            self.longest = self.drift();
+            self.start(reading);
+        }
+    }
+
+    fn start(&mut self, first: Reading) {
+        (self.off, self.latest) = ((0.0, 0), Some(first));
+        self.earliest = vec![(first.position, first.ahead)];
+    }
+
+    fn fit(&mut self, reading: Reading) {
+        self.latest = Some(reading);
+        let point = (reading.position, reading.ahead);
+        // Others' log times may stand still, or run back.
+        if self.earliest.last().is_some_and(|last| point.0 <= last.0) {
+            return;
+        }
+        while let [.., first, second] = self.earliest[..]
+            && slope(first, second) <= slope(first, point)
+        {
+            self.earliest.pop();
+        }
+        self.earliest.push(point);
+    }
+
+    /// Drift over the longest time without a jump.
+    fn drift(&self) -> Drift {
+        let (Some(first), Some(last)) = (self.earliest.first(), self.earliest.last()) else {
+            return self.longest;
+        };
+        let seconds = last.0 - first.0;
+        if seconds <= self.longest.seconds {
+            return self.longest;
+        }
+        // Where most scans are below one line, it is the clock's.
+        let edges = self.earliest.iter().zip(self.earliest.iter().skip(1));
+        let longest = edges.max_by(|one, other| length(*one).total_cmp(&length(*other)));
+        Drift { seconds, rate: longest.map_or(0.0, |(begin, end)| slope(*begin, *end)) }
+    }
+
+    /// Describes the clock, if the sensor has one.
+    pub(super) fn row(&self) -> Option<Row> {
+        self.latest?;
+        let (drift, jumps) = (self.drift(), self.jumps);
+        let ppm = (drift.seconds >= SHORTEST).then(|| (drift.rate * 1e6).round());
+        let mut text = match ppm {
+            Some(ppm) => {
+                let pace = if ppm < 0.0 { "slow" } else { "fast" };
+                format!("{:.2} % {pace}", ppm.abs() / 1e4)
+            }
+            None => format!("its drift needs {SHORTEST:.0} s without a jump"),
+        };
+        if jumps > 0 {
+            text += &format!("; it jumped {}: check the power", counted(jumps, "time"));
+        }
+        Some(("sensor_clock", json!({ "drift_ppm": ppm, "jumps": jumps }), text))
+    }
+}
+
+fn length((from, to): (&(f64, f64), &(f64, f64))) -> f64 {
+    to.0 - from.0
+}
+
+fn slope(from: (f64, f64), to: (f64, f64)) -> f64 {
+    (to.1 - from.1) / (to.0 - from.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Row after scans at 40 Hz by a clock that gains `ppm`, each late by `late(number)` ms.
+    fn row(ppm: f64, seconds: u32, late: impl Fn(u32) -> u32) -> String {
+        let mut clock = SensorClock::default();
+        for number in 0..40 * seconds {
+            let measured = f64::from(number) * 0.025;
+            let reading = (5.0 + measured) * (1.0 + ppm / 1e6);
+            let reading = Duration::from_millis((reading * 1000.0) as u64 % (1 << 24));
+            let position = measured + f64::from(late(number)) / 1000.0;
+            clock.add(reading, Duration::from_secs_f64(position));
+        }
+        clock.row().unwrap().2
+    }
+
+    #[test]
+    fn the_drift_is_that_of_the_earliest_arrivals() {
+        assert_eq!(row(1_200.0, 60, |_| 1), "0.12 % fast");
+        assert_eq!(row(-1_200.0, 60, |_| 1), "0.12 % slow");
+        // Busy from half of the time on, and stopped for 5 s.
+        assert_eq!(
+            row(-400.0, 60, |number| if number < 1200 { 1 } else { 7 * (number % 5) }),
+            "0.04 % slow"
+        );
+        assert_eq!(
+            row(500.0, 60, |number| 5_000_u32.saturating_sub(25 * (number % 1000))),
+            "0.05 % fast"
+        );
+        assert_eq!(row(500.0, 9, |_| 1), "its drift needs 10 s without a jump");
+        // Through a wrap.
+        assert_eq!(row(500.0, 17_000, |_| 1), "0.05 % fast");
+    }
+
+    #[test]
+    fn a_sensor_that_restarts_has_jumped() {
+        for (before, off) in [(20, 15), (20, 1_000), (1_000, 20), (20, 17_000)] {
+            let mut clock = SensorClock::default();
+            for (from, seconds) in [(0, before), (before + off, 30)] {
+                for number in 0..seconds * 40 {
+                    let since = Duration::from_millis(25) * number;
+                    clock.add(since * 1001 / 1000, Duration::from_secs(from.into()) + since);
+                }
+            }
+            let text = clock.row().unwrap().2;
+            assert_eq!(text, "0.10 % fast; it jumped 1 time: check the power", "{before} {off}");
+        }
+    }
+}
