@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use serde_json::Value;
 use tokio_scip::{Rate, Window};
-use urg_emulator::{Emulator, Model};
+use urg_emulator::{Emulator, Fault, Faults, Model};
 
 use super::program::{Emulated, Running, Scratch, failure, run};
 use super::recorded::{recording, recording_of};
@@ -102,7 +102,7 @@ fn replies_faster_than_the_baud_rate_are_reported() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_drift_of_a_recorded_clock_is_told() {
+async fn drift_and_jumps_of_a_recorded_clock_are_told() {
     for (rate, drift) in [(Rate::UNLIMITED, 0.0012), (Rate::hz(7.0), -0.0004)] {
         let file = Scratch::mcap("check-drift");
         let sensor = Emulator::builder().model(Model::Ust10lx).clock(Duration::ZERO, drift);
@@ -112,6 +112,13 @@ async fn the_drift_of_a_recorded_clock_is_told() {
         assert!(check.contains(&format!("sensor clock {expected}\n")), "{check}");
         assert!(check.ends_with("\nall is well\n"), "{check}");
     }
+    let file = Scratch::mcap("check-jump");
+    let sensor = Emulator::builder().model(Model::Ust10lx);
+    let sensor = sensor.faults(Faults::none().at(700, Fault::ClockJump(-2000)));
+    recording_of(sensor.build(), file.path(), Window::DETECTION, Rate::UNLIMITED, 1000).await;
+    let check = run(&format!("check {}", file.path()), 0).stdout;
+    assert!(check.contains(" % fast; it jumped 1 time"), "{check}");
+    assert!(check.ends_with("\nit works; weak: sensor clock\n"), "{check}");
 }
 
 #[tokio::test(start_paused = true)]
