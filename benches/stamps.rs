@@ -10,7 +10,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tokio_scip::scan::StampQuality;
 use tokio_scip::{Rate, Scan, Sensor, Window};
-use urg_emulator::{Emulator, EmulatorBuilder, Faults, Fixed};
+use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Fixed};
 
 const HOUR: Duration = Duration::from_secs(3600);
 const REAL_TIME: Duration = Duration::from_secs(120);
@@ -29,7 +29,8 @@ fn main() {
     }
     simulated("on USB, an hour", turning(), Rate::UNLIMITED, HOUR, 0);
     simulated("polled at 10 Hz, an hour", turning(), Rate::hz(10.0), HOUR, 0);
-    let late = || turning().faults(Faults::none().late(0.2, Duration::from_millis(30)));
+    let late =
+        || turning().faults(Faults::none().up_to(0.2, Fault::Late(Duration::from_millis(30))));
     simulated("20 % late by up to 30 ms, an hour", late(), Rate::UNLIMITED, HOUR, 0);
     simulated("5 Hz, an hour", turning(), Rate::hz(5.0), HOUR, 0);
     let drifting = turning().drift(0.001);

@@ -7,7 +7,7 @@ use tokio_scip::protocol::scip2::Parameters;
 use super::models::{Geometry, Model};
 
 /// State of the sensor that commands of either protocol change.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Body {
     pub(crate) model: Model,
     pub(crate) serial_number: String,
@@ -15,6 +15,8 @@ pub(crate) struct Body {
     pub(crate) version_lines: Option<Vec<Vec<u8>>>,
     /// What `PP` says, in place of the model's own.
     pub(crate) parameters: Option<Parameters>,
+    /// True if links on USB say that they deliver every byte as sent.
+    pub(crate) is_intact: bool,
     /// Number of excess points at the end of a scan.
     pub(crate) miscount: i8,
     pub(crate) is_laser_on: bool,

@@ -13,10 +13,9 @@ use super::handle::Emulator;
 use super::journal::Journal;
 use super::models::Model;
 use super::motor::Motor;
-use super::playback::{Playback, ReplayPace, Script};
+use super::playback::{Playback, ReplayPace, Script, Source};
 use super::scip1::{Dialect, EmptyCommand, Firmware, RepeatedLaser};
 use super::scip2::{Quirk, Session};
-use super::source::Source;
 use super::timed_device::TimedDevice;
 use super::timing::{DeviceTiming, LONGEST, Pace};
 use super::world::{Room, World};
@@ -27,14 +26,15 @@ use tokio_scip::protocol::scip2::Parameters;
 const ETHERNET_BYTE: Duration = Duration::from_nanos(80);
 
 /// Builder of an [`Emulator`]. Each method documents its default.
+#[derive(Default)]
 #[must_use = "a builder does nothing until `build`"]
 pub struct EmulatorBuilder {
     body: Body,
+    serial_number: Option<String>,
     dialect: Dialect,
     session: Session,
     mode: Mode,
     laser: Option<bool>,
-    is_intact: bool,
     timing: DeviceTiming,
     pace: Option<Pace>,
     frame: Option<Duration>,
@@ -45,51 +45,12 @@ pub struct EmulatorBuilder {
     playback: Option<Playback>,
     faults: Faults,
     seed: u64,
-    log_capacity: usize,
+    log_capacity: Option<usize>,
 }
 
 impl fmt::Debug for EmulatorBuilder {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("EmulatorBuilder").field("body", &self.body).finish_non_exhaustive()
-    }
-}
-
-impl Default for EmulatorBuilder {
-    fn default() -> Self {
-        Self {
-            body: Body {
-                model: Model::default(),
-                serial_number: "H0713090".to_owned(),
-                version_lines: None,
-                parameters: None,
-                miscount: 0,
-                is_laser_on: true,
-                baud_rate: None,
-            },
-            dialect: Dialect::default(),
-            session: Session::default(),
-            mode: Mode::default(),
-            laser: None,
-            is_intact: false,
-            timing: DeviceTiming {
-                pace: Pace::default(),
-                latency: Duration::ZERO,
-                boot: Duration::ZERO,
-                frame: Duration::ZERO,
-                stray_byte: true,
-                byte_time: None,
-            },
-            pace: None,
-            frame: None,
-            revolution: None,
-            drift: 0.0,
-            clock: (Duration::ZERO, 0.0),
-            world: None,
-            playback: None,
-            faults: Faults::none(),
-            seed: 0,
-            log_capacity: 32,
-        }
     }
 }
 
@@ -128,7 +89,7 @@ impl EmulatorBuilder {
 
     /// Sets the serial number in the reply to `V` and `VV`. Default: `H0713090`.
     pub fn serial_number(mut self, serial_number: impl Into<String>) -> Self {
-        self.body.serial_number = serial_number.into();
+        self.serial_number = Some(serial_number.into());
         self
     }
 
@@ -155,8 +116,9 @@ impl EmulatorBuilder {
     /// Puts the sensor on USB, where links say that every byte arrives as sent
     /// ([`delivers_intact`](tokio_scip::port::PortHints::delivers_intact)): the driver then computes
     /// stamps from the motor. Add no faults that change bytes.
-    pub fn intact_usb(self) -> Self {
-        Self { is_intact: true, ..self.usb() }
+    pub fn intact_usb(mut self) -> Self {
+        self.body.is_intact = true;
+        self.usb()
     }
 
     /// Puts a URG-04LX on RS-232, at this baud rate until the first power cycle, and at
@@ -254,7 +216,7 @@ impl EmulatorBuilder {
     /// Sets whether the sensor sends one byte 0x00 when its baud rate has changed.
     /// Default: true.
     pub fn stray_byte(mut self, stray_byte: bool) -> Self {
-        self.timing.stray_byte = stray_byte;
+        self.timing.omits_stray_byte = !stray_byte;
         self
     }
 
@@ -278,7 +240,7 @@ impl EmulatorBuilder {
 
     /// Sets the number of command lines that [`Emulator::log`] keeps. Default: 32.
     pub fn log_capacity(mut self, commands: usize) -> Self {
-        self.log_capacity = commands;
+        self.log_capacity = Some(commands);
         self
     }
 
@@ -304,6 +266,7 @@ impl EmulatorBuilder {
             timing.byte_time = timing.byte_time.or(Some(ETHERNET_BYTE));
         }
         timing.frame = self.frame.unwrap_or(timing.frame);
+        body.serial_number = self.serial_number.unwrap_or_else(|| "H0713090".to_owned());
         body.baud_rate = body.baud_rate.filter(|_| model == Model::Urg04lx);
         let mut device = Device { body, dialect, session, is_in_scip2: false };
         device.set_mode(self.mode, now);
@@ -313,13 +276,11 @@ impl EmulatorBuilder {
         let world = self.world.unwrap_or_else(|| Box::new(Room::new(seed)));
         let source = Source { world, playback: self.playback };
         let faults = FaultInjector::new(self.faults, seed);
-        let journal = Journal::new(self.log_capacity);
+        let journal = Journal::new(self.log_capacity.unwrap_or(32));
         let revolution = self.revolution.unwrap_or(model.revolution());
         let motor = Motor::new(revolution, self.drift, now);
         let clock = Clock::new(now, self.clock.0, self.clock.1);
-        let mut sensor =
-            TimedDevice::new(device, source, timing, (motor, clock), faults, journal, now);
-        sensor.is_intact = self.is_intact;
+        let sensor = TimedDevice::new(device, source, timing, (motor, clock), faults, journal, now);
         Emulator::new(sensor)
     }
 }

@@ -39,7 +39,6 @@ impl Clock {
     }
 
     pub(super) fn set_rate(&mut self, now: Instant, rate: f64) {
-        let read = i128::from(self.read(now));
-        *self = Self { origin: now, at_origin: read, rate: rate.clamp(-0.5, 0.5) };
+        *self = Self::new(now, Duration::from_micros(self.read(now)), rate);
     }
 }

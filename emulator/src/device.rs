@@ -4,10 +4,10 @@
 use tokio::time::Instant;
 
 use super::body::{Answer, Body, Measure};
+use super::format::Reply;
 use super::journal::Verdict;
 use super::line_buffer::CommandLine;
 use super::models::{Geometry, Model};
-use super::reply::Reply;
 use super::scip1::{self, Command, Dialect, EmptyCommand, Firmware};
 use super::scip2::{self, Session, Times};
 use tokio_scip::BaudRate;
@@ -126,10 +126,10 @@ impl Device {
     }
 
     /// Refuses a command with a status. In SCIP 2 a `0` precedes it.
-    pub(crate) fn refuse(&self, line: &[u8], status: u8) -> Vec<u8> {
+    pub(crate) fn refuse(&self, line: &[u8], status: u8) -> Answer {
         match self.is_in_scip2 {
-            true => scip2::status_only(line, [b'0', status]),
-            false => scip1::status_only(line, status),
+            true => scip2::status(line, &[b'0', status]),
+            false => scip1::status(line, status),
         }
     }
 }

@@ -55,7 +55,6 @@ impl Emulator {
         let mut plugged = self.shared.lock();
         plugged.links += 1;
         let id = plugged.links;
-        let hung_up = plugged.reader.take();
         if plugged.plugged_in && !plugged.sensor.is_gone {
             plugged.set_host(baud_rate.bits_per_second());
             if plugged.sensor.device.body.model.is_on_ethernet() {
@@ -66,11 +65,8 @@ impl Emulator {
             plugged.sensor.is_hung_up = false;
             plugged.link = Some(id);
         }
-        drop(plugged);
+        Shared::wake_reader(plugged);
         self.shared.link_changed.notify_waiters();
-        if let Some(reader) = hung_up {
-            reader.wake();
-        }
         Link::new(Arc::clone(&self.shared), id, baud_rate)
     }
 
@@ -78,11 +74,7 @@ impl Emulator {
     fn change(&self, change: impl FnOnce(&mut Plugged, Instant)) {
         let mut plugged = self.shared.lock_now();
         change(&mut plugged, Instant::now());
-        let reader = plugged.reader.take();
-        drop(plugged);
-        if let Some(reader) = reader {
-            reader.wake();
-        }
+        Shared::wake_reader(plugged);
     }
 
     /// Pulls the cable. The open link is hung up, connecting fails with [`ErrorKind::NoSuchPort`],
@@ -168,14 +160,14 @@ impl Emulator {
     /// Latest command lines received, oldest first. Set their number with
     /// [`EmulatorBuilder::log_capacity`](super::EmulatorBuilder::log_capacity).
     pub fn log(&self) -> Vec<Received> {
-        self.shared.lock_now().sensor.journal.log()
+        self.shared.lock_now().sensor.journal.log.iter().cloned().collect()
     }
 
     /// Latest scans sent, oldest first, with the true times of their revolutions. A
     /// [fence](tokio_scip::Stats::fences) is a scan, too. Set their number with
     /// [`EmulatorBuilder::log_capacity`](super::EmulatorBuilder::log_capacity).
     pub fn sent_scans(&self) -> Vec<SentScan> {
-        self.shared.lock_now().sensor.journal.scans()
+        self.shared.lock_now().sensor.journal.scans.iter().copied().collect()
     }
 
     /// Delays the motor once: from now on its revolutions end later by this time.

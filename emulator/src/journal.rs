@@ -81,8 +81,8 @@ pub struct Counts {
 #[derive(Debug)]
 pub(super) struct Journal {
     pub(super) counts: Counts,
-    log: VecDeque<Received>,
-    scans: VecDeque<SentScan>,
+    pub(super) log: VecDeque<Received>,
+    pub(super) scans: VecDeque<SentScan>,
     capacity: usize,
 }
 
@@ -111,14 +111,6 @@ impl Journal {
     pub(super) fn record_scan(&mut self, scan: SentScan) {
         self.counts.scans += 1;
         push(&mut self.scans, self.capacity, scan);
-    }
-
-    pub(super) fn scans(&self) -> Vec<SentScan> {
-        self.scans.iter().copied().collect()
-    }
-
-    pub(super) fn log(&self) -> Vec<Received> {
-        self.log.iter().cloned().collect()
     }
 }
 

@@ -41,19 +41,17 @@ pub(crate) struct LineBuffer {
 }
 
 impl LineBuffer {
-    /// Returns true if no byte of the next line has arrived.
-    pub(crate) fn is_empty(&self) -> bool {
-        self.bytes.is_empty()
-    }
-
-    /// Records that the line began while an earlier command was unanswered.
-    pub(crate) fn mark_overlapping(&mut self) {
-        self.overlapping = true;
-    }
-
-    /// Adds one byte. Returns the line if the byte was its terminator.
-    pub(crate) fn push(&mut self, byte: u8, at: Instant, garbled: bool) -> Option<CommandLine> {
+    /// Adds one byte, which arrived at `at`, maybe garbled, or while an earlier command was
+    /// unanswered. Returns the line if the byte was its terminator.
+    pub(crate) fn push(
+        &mut self,
+        byte: u8,
+        at: Instant,
+        garbled: bool,
+        overlapping: bool,
+    ) -> Option<CommandLine> {
         self.garbled |= garbled;
+        self.overlapping |= overlapping && self.bytes.is_empty();
         if byte != b'\n' && byte != b'\r' {
             if self.bytes.len() < MAX_LINE_BYTES {
                 self.bytes.push(byte);
@@ -77,11 +75,11 @@ mod tests {
         let now = Instant::now();
         let mut line = LineBuffer::default();
         for _ in 0..1_000_000 {
-            assert!(line.push(b'V', now, false).is_none());
+            assert!(line.push(b'V', now, false, false).is_none());
         }
         assert!(line.bytes.capacity() <= 2 * MAX_LINE_BYTES);
-        let arrived = line.push(b'\r', now, false).unwrap();
+        let arrived = line.push(b'\r', now, false, false).unwrap();
         assert_eq!(arrived.bytes, [b'V'; MAX_LINE_BYTES]);
-        assert!(arrived.too_long && line.is_empty());
+        assert!(arrived.too_long && line.bytes.is_empty());
     }
 }

@@ -131,7 +131,7 @@ impl AsyncRead for Link {
                 let now = Instant::now();
                 plugged.host = host;
                 plugged.sensor.advance(now, host);
-                if plugged.sensor.transmitter.take(now, buffer) > 0 {
+                if plugged.sensor.transmitter.take(now, buffer) {
                     budget.made_progress();
                     return Poll::Ready(Ok(()));
                 }
@@ -173,12 +173,7 @@ impl AsyncWrite for Link {
         plugged.host = host;
         plugged.sensor.advance(now, host);
         plugged.sensor.receive(now, bytes, host);
-        // It may have found no event to wait for.
-        let reader = plugged.reader.take();
-        drop(plugged);
-        if let Some(reader) = reader {
-            reader.wake();
-        }
+        Shared::wake_reader(plugged);
         Poll::Ready(Ok(bytes.len()))
     }
 
@@ -216,7 +211,8 @@ impl Port for Link {
 impl PortHints for Link {
     /// Returns true if [`EmulatorBuilder::intact_usb`](super::EmulatorBuilder::intact_usb) says so.
     fn delivers_intact(&mut self) -> bool {
-        matches!(self.baud_rate, HostBaudRate::FollowsSensor) && self.shared.lock().sensor.is_intact
+        matches!(self.baud_rate, HostBaudRate::FollowsSensor)
+            && self.shared.lock().sensor.device.body.is_intact
     }
 
     /// Returns true after the last reply of a replayed recording.

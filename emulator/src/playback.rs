@@ -1,14 +1,15 @@
-//! [`Playback`]: sends scans that are known in advance, such as a recording, instead of measuring a
-//! world.
-//!
-//! The replies come from a [`Script`], such as `urg-recording`'s.
+//! [`Source`]: where the distances come from, a world or a [`Script`] of scans that are known in
+//! advance, such as a recording.
 
 use std::io;
 use std::time::{Duration, SystemTime};
 
 use tokio::time::Instant;
 
-use super::world::Values;
+use super::device::Device;
+use super::line_buffer::CommandLine;
+use super::scip2::Times;
+use super::world::{Values, World, WorldTime};
 
 /// Longest time that the sensor holds back a reply until it is due. An earlier request gets
 /// no answer. Shorter than a driver's deadline.
@@ -59,6 +60,49 @@ pub enum ReplayPace {
     Max,
 }
 
+/// World, and the script to play in its place.
+pub(super) struct Source {
+    pub(super) world: Box<dyn World>,
+    pub(super) playback: Option<Playback>,
+}
+
+impl Source {
+    /// Reads the next reply of the script. May block.
+    pub(super) fn prepare(&mut self) {
+        if let Some(playback) = &mut self.playback {
+            playback.script.prepare();
+        }
+    }
+
+    /// Answer of the script to a command that is served at `at`.
+    pub(super) fn next_reply(&self, device: &Device, line: &CommandLine, at: Instant) -> NextReply {
+        let Some(playback) = &self.playback else { return NextReply::NotScripted };
+        // With the laser off, the sensor refuses `G`, whatever the script has.
+        let Some((start, end)) = device.asked_steps(line) else { return NextReply::NotScripted };
+        if start >= end && !playback.script.is_single_step(end) {
+            return NextReply::NotScripted;
+        }
+        match playback.due(at) {
+            None => NextReply::End,
+            Some(due) if due <= at + MAX_HOLD => NextReply::At(due),
+            Some(_) => NextReply::TooEarly,
+        }
+    }
+
+    /// Returns what fills in the distances and intensities of a revolution.
+    pub(super) fn measure_at(&mut self, time: WorldTime) -> impl FnMut(&mut [u32], &mut [u32]) {
+        move |distances, intensities| match &self.playback {
+            Some(playback) => playback.script.measure(distances, intensities),
+            None => {
+                self.world.measure(time, distances);
+                if !intensities.is_empty() {
+                    self.world.measure_intensities(time, distances, intensities);
+                }
+            }
+        }
+    }
+}
+
 /// Script being played.
 pub(super) struct Playback {
     pub(super) script: Box<dyn Script>,
@@ -84,18 +128,6 @@ impl Playback {
         Self { script, pace, started_at: None }
     }
 
-    /// Answer to a `G` for the steps from `start` to `end` if it is served at `at`.
-    pub(super) fn next_reply(&self, (start, end): (u16, u16), at: Instant) -> NextReply {
-        if start >= end && !self.script.is_single_step(end) {
-            return NextReply::NotScripted;
-        }
-        match self.due(at) {
-            None => NextReply::End,
-            Some(due) if due <= at + MAX_HOLD => NextReply::At(due),
-            Some(_) => NextReply::TooEarly,
-        }
-    }
-
     /// When the next reply can be sent, at `at` or later. `None` at the end of the script.
     pub(super) fn due(&self, at: Instant) -> Option<Instant> {
         let due = self.script.due()?;
@@ -103,12 +135,13 @@ impl Playback {
         Some(started_at.map_or(at, |started_at| at.max(started_at + due)))
     }
 
-    /// Plays the next reply at `at`. Returns its bytes if they cannot be encoded from
-    /// distances.
-    pub(super) fn advance(&mut self, command: &[u8], at: Instant) -> Option<Vec<u8>> {
+    /// Plays the next reply. Returns its bytes if they cannot be encoded from distances.
+    pub(super) fn advance(&mut self, command: &[u8], times: &mut Times) -> Option<Vec<u8>> {
         if self.started_at.is_none() {
-            self.started_at = at.checked_sub(self.script.due().unwrap_or_default());
+            self.started_at = times.now.checked_sub(self.script.due().unwrap_or_default());
         }
-        self.script.advance(command)
+        let reply = self.script.advance(command);
+        times.scan = self.script.clock().unwrap_or(times.scan);
+        reply
     }
 }

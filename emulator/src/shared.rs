@@ -55,6 +55,15 @@ impl Shared {
         self.plugged.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Unlocks the sensor, and wakes the reader, which may have found no event to wait for.
+    pub(super) fn wake_reader(mut plugged: MutexGuard<'_, Plugged>) {
+        let reader = plugged.reader.take();
+        drop(plugged);
+        if let Some(reader) = reader {
+            reader.wake();
+        }
+    }
+
     /// Locks the sensor, brought up to date.
     pub(super) fn lock_now(&self) -> MutexGuard<'_, Plugged> {
         let mut plugged = self.lock();

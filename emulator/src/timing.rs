@@ -23,14 +23,15 @@ pub enum Pace {
 }
 
 /// Times that a sensor needs.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct DeviceTiming {
     pub(super) pace: Pace,
     pub(super) latency: Duration,
     pub(super) boot: Duration,
     /// Replies begin at whole multiples of this time, as in USB's frames; zero for none.
     pub(super) frame: Duration,
-    pub(super) stray_byte: bool,
+    /// True if no byte 0x00 follows a change of the baud rate.
+    pub(super) omits_stray_byte: bool,
     /// Time per byte, or `None` for a serial line or USB.
     pub(super) byte_time: Option<Duration>,
 }

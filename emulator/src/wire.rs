@@ -88,6 +88,19 @@ struct Segment {
 }
 
 impl Segment {
+    fn new(start: Instant, byte_time: Duration, sent_at: Option<u32>, bytes: Vec<u8>) -> Self {
+        Self {
+            start,
+            byte_time,
+            bytes,
+            taken: 0,
+            seen: 0,
+            sent_at,
+            is_compared: false,
+            garbled: None,
+        }
+    }
+
     /// When this number of bytes has arrived.
     fn arrival(&self, bytes: usize) -> Instant {
         self.start + self.byte_time * bytes as u32
@@ -135,16 +148,7 @@ impl Transmitter {
         self.free = start + byte_time * bytes.len() as u32;
         if !bytes.is_empty() {
             self.unread += bytes.len();
-            self.segments.push_back(Segment {
-                start,
-                byte_time,
-                bytes,
-                taken: 0,
-                seen: 0,
-                sent_at: baud_rate,
-                is_compared: false,
-                garbled: None,
-            });
+            self.segments.push_back(Segment::new(start, byte_time, baud_rate, bytes));
         }
     }
 
@@ -205,29 +209,17 @@ impl Transmitter {
         let Some(segment) = self.segments.get_mut(place) else { return };
         let duration = segment.byte_time * segment.bytes.len() as u32;
         let arrived = segment.arrived(now).max(segment.taken);
-        let sent = match segment.garbled.take() {
-            Some(sent) => sent,
-            None => segment.bytes.clone(),
-        };
+        let sent = segment.garbled.take().unwrap_or_else(|| segment.bytes.clone());
         let byte_time = duration / sent.len().max(1) as u32;
         // The byte that is on the line now is lost.
         let elapsed = (now - segment.start).as_nanos();
         let first = elapsed.checked_div(byte_time.as_nanos()).unwrap_or_default() as usize + 1;
         segment.bytes.truncate(arrived);
         let rest = sent.get(first..).unwrap_or_default().to_vec();
-        let rest = Segment {
-            start: segment.start + byte_time * first as u32,
-            byte_time,
-            taken: 0,
-            seen: 0,
-            sent_at: segment.sent_at,
-            is_compared: false,
-            garbled: None,
-            bytes: rest,
-        };
+        let start = segment.start + byte_time * first as u32;
+        let rest = Segment::new(start, byte_time, segment.sent_at, rest);
         self.segments.insert(place + 1, rest);
-        self.segments.retain(|segment| segment.taken < segment.bytes.len());
-        self.unread = self.segments.iter().map(|s| s.bytes.len() - s.taken).sum();
+        self.drop_read_segments();
     }
 
     /// Fills `buffer` with bytes that had arrived at the latest read, and returns true.
@@ -247,9 +239,9 @@ impl Transmitter {
         true
     }
 
-    /// Moves the bytes that have arrived into `buffer`, as far as they fit, and returns
-    /// their number. Call `advance` first: it garbles them.
-    pub(super) fn take(&mut self, now: Instant, buffer: &mut ReadBuf<'_>) -> usize {
+    /// Moves the bytes that have arrived into `buffer`, as far as they fit, and returns true if
+    /// there are any. Call `advance` first: it garbles them.
+    pub(super) fn take(&mut self, now: Instant, buffer: &mut ReadBuf<'_>) -> bool {
         let before = buffer.filled().len();
         while let Some(segment) = self.segments.front_mut() {
             let arrived = segment.arrived(now);
@@ -264,7 +256,7 @@ impl Transmitter {
             }
             self.segments.pop_front();
         }
-        buffer.filled().len() - before
+        buffer.filled().len() > before
     }
 
     /// When to wake the reader for more bytes.
@@ -291,6 +283,10 @@ impl Transmitter {
         for segment in &mut self.segments {
             segment.bytes.truncate(segment.arrived(at).max(segment.taken));
         }
+        self.drop_read_segments();
+    }
+
+    fn drop_read_segments(&mut self) {
         self.segments.retain(|segment| segment.taken < segment.bytes.len());
         self.unread = self.segments.iter().map(|s| s.bytes.len() - s.taken).sum();
     }

@@ -241,20 +241,23 @@ async fn faults_with_a_seed_do_not_depend_on_the_sensors() {
 fn a_text_parses_to_the_calls_it_stands_for() {
     let parsed: Faults = "late=0.01:3s, lost=0.005,noise=1:9,reset=0.1,seed=7".parse().unwrap();
     let called = Faults::none()
-        .late(0.01, Duration::from_secs(3))
-        .rate(0.005, Fault::Lost)
-        .noise(1.0, 9)
-        .reset(0.1)
+        .up_to(0.01, Fault::Late(3 * S))
+        .up_to(0.005, Fault::Lost)
+        .up_to(1.0, Fault::Noise(9))
+        .up_to(0.1, Fault::Reset(1599))
         .seed(7);
     assert_eq!(parsed, called);
     let parsed: Faults = "ignored=0.5,wrong-sum=0.1,clock-jump=1:250ms".parse().unwrap();
     let called = Faults::none()
-        .rate(0.5, Fault::Ignored)
-        .rate(0.1, Fault::WrongSum)
-        .clock_jump(1.0, Duration::from_millis(250));
+        .up_to(0.5, Fault::Ignored)
+        .up_to(0.1, Fault::WrongSum)
+        .up_to(1.0, Fault::ClockJump(250));
     assert_eq!(parsed, called);
     assert_eq!("".parse(), Ok(Faults::none()));
-    assert_eq!("pause=1:250ms".parse(), Ok(Faults::none().paused(1.0, Duration::from_millis(250))));
+    let paused = Faults::none().up_to(1.0, Fault::Pause(63, Duration::from_millis(250)));
+    assert_eq!("pause=1:250ms".parse(), Ok(paused));
+    let jumps = Faults::none().up_to(1.0, Fault::ClockJump(i64::MAX));
+    assert_eq!("clock-jump=1:1e17s".parse(), Ok(jumps));
 }
 
 #[test]

@@ -4,10 +4,9 @@
 #[test]
 fn protocols_use_only_baud_rates_of_the_driver() {
     for source in [
-        include_str!("../src/reply.rs"),
+        include_str!("../src/format.rs"),
         include_str!("../src/scip1/command.rs"),
         include_str!("../src/scip1/dialect.rs"),
-        include_str!("../src/scip1/encode.rs"),
         include_str!("../src/scip2/command.rs"),
         include_str!("../src/scip2/encode.rs"),
         include_str!("../src/scip2/session.rs"),

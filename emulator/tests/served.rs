@@ -49,15 +49,6 @@ async fn unplugging_ends_a_client_that_does_not_read() {
     served.unwrap();
 }
 
-#[tokio::test(start_paused = true)]
-async fn behind_a_bridge_at_another_baud_rate_nothing_is_understood() {
-    let emulator = instant_sensor().baud_rate(BaudRate::B115200).build();
-    let (mut client, server) = duplex(64);
-    tokio::spawn(async move { emulator.serve_at(server, BaudRate::B19200).await });
-    client.write_all(b"V\n").await.unwrap();
-    assert!(!listen_bytes(&mut client).await.starts_with(b"V\n"));
-}
-
 #[tokio::test]
 async fn tcp_clients_are_served_one_after_the_other() {
     let emulator = instant_sensor().build();

@@ -275,7 +275,7 @@ async fn no_time_is_too_long_or_too_short() {
             Faults::none().every(Fault::Late(time)),
             Faults::none().every(Fault::Pause(3, time)),
             Faults::none().every(Fault::Trickle(time)),
-            Faults::none().late(1.0, time).paused(1.0, time),
+            Faults::none().up_to(1.0, Fault::Late(time)).up_to(1.0, Fault::Pause(63, time)),
         ];
         let emulators = settings.map(|set| set(Emulator::builder(), time).build());
         let faulty = faults.map(|faults| Emulator::builder().faults(faults).build());

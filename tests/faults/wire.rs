@@ -136,7 +136,7 @@ async fn w18_noise_of_any_kind_in_front_never_makes_a_scan() {
         let emulator = instant_sensor().seed(seed).build();
         let (_sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;
         let mut delivered = scans(&mut stream, 1).await;
-        emulator.set_faults(Faults::none().noise(0.5, 4096).seed(seed));
+        emulator.set_faults(Faults::none().up_to(0.5, Fault::Noise(4096)).seed(seed));
         delivered.extend(scans(&mut stream, 10).await);
         assert_eq!(wrong_scans(&emulator, &delivered), [""; 0], "seed {seed}");
         fired += emulator.fault_count(&Fault::Noise(0));

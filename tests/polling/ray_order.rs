@@ -9,7 +9,7 @@ use std::time::Duration;
 use futures::FutureExt;
 use tokio::time::{Instant, sleep};
 use tokio_scip::{BaudRate, Rate, Scan, Window};
-use urg_emulator::{Emulator, EmulatorBuilder, Faults, Fixed, Pace};
+use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Fixed, Pace};
 
 use crate::common::random::{Random, seeds};
 use crate::common::{builder, ms};
@@ -65,7 +65,7 @@ async fn scans_never_overlap() {
         let revolution = Duration::from_micros(99_600 + random.below(800));
         let emulator = Emulator::builder()
             .revolution(revolution)
-            .faults(Faults::none().late(share, longest).seed(seed));
+            .faults(Faults::none().up_to(share, Fault::Late(longest)).seed(seed));
         let emulator = match random.below(4) {
             0 => emulator.intact_usb(),
             1 => emulator.usb(),

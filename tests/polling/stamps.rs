@@ -5,7 +5,7 @@ use std::time::{Duration, SystemTime};
 use tokio::time::Instant;
 use tokio_scip::scan::StampQuality;
 use tokio_scip::{BaudRate, Rate, Scan, ScanStream, Sensor, Window};
-use urg_emulator::{Emulator, EmulatorBuilder, Faults, Fixed, Pace};
+use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Fixed, Pace};
 
 use crate::common::hooked::{Hooked, Hooks};
 use crate::common::{ConnectFn, builder, ms};
@@ -80,7 +80,7 @@ async fn stamps_rest_on_the_motor_and_its_period_is_measured() {
 
 #[tokio::test(start_paused = true)]
 async fn late_replies_do_not_move_the_stamps() {
-    let emulator = turning().faults(Faults::none().late(0.2, ms(30))).build();
+    let emulator = turning().faults(Faults::none().up_to(0.2, Fault::Late(ms(30)))).build();
     let (_sensor, mut scans) = stream(&emulator, Rate::UNLIMITED).await;
     next_errors(&emulator, &mut scans, 1000).await;
     let later = next_errors(&emulator, &mut scans, 1000).await;

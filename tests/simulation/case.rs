@@ -197,8 +197,8 @@ impl Case {
                 0 => faults.rate(2.0 * rate, Fault::CommandLost),
                 1 => faults.rate(rate, Fault::Lost),
                 2 => faults.rate(rate / 5.0, Fault::Status(*random.pick(b"1Ez"))),
-                3 => faults.late(rate, long),
-                4 => faults.paused(rate, long),
+                3 => faults.up_to(rate, Fault::Late(long)),
+                4 => faults.up_to(rate, Fault::Pause(63, long)),
                 5 => faults.rate(rate, Fault::Doubled),
                 6 => {
                     let damage = random.pick(&damage).clone();
@@ -212,11 +212,11 @@ impl Case {
                 }
                 8 => faults.rate(rate, Fault::Merged),
                 9 => faults.rate(rate, Fault::Garbage(b"\0\0garbage\n".to_vec())),
-                10 => faults.noise(rate, 2000),
+                10 => faults.up_to(rate, Fault::Noise(2000)),
                 11 => faults.rate(rate / 5.0, Fault::Trickle(Duration::from_millis(2))),
                 12 => faults.rate(rate, Fault::CrLf),
-                13 => faults.reset(rate / 20.0),
-                14 => faults.hung_up(rate / 5.0),
+                13 => faults.up_to(rate / 20.0, Fault::Reset(1599)),
+                14 => faults.up_to(rate / 5.0, Fault::HangUp(1599)),
                 15 => faults.rate(rate / 50.0, Fault::Endless(b"xyz\n\n".to_vec())),
                 16 => {
                     // A second character in the status of a `G`, or of an `L`.
@@ -225,7 +225,7 @@ impl Case {
                 }
                 17 => faults.rate(rate, Fault::Pause(20, Duration::from_millis(450))),
                 18 => faults.rate(rate, Fault::Ignored),
-                _ => faults.clock_jump(rate / 20.0, long),
+                _ => faults.up_to(rate / 20.0, Fault::ClockJump(long.as_millis() as i64)),
             };
             self.refuses |= kind == 2;
             self.doubles |= kind == 5;

@@ -44,7 +44,7 @@ impl Loss {
 /// each share multiplied by `times`.
 pub(crate) fn bad_line(times: f64) -> Faults {
     Faults::none()
-        .late(0.01 * times, Duration::from_secs(3))
+        .up_to(0.01 * times, Fault::Late(Duration::from_secs(3)))
         .rate(0.005 * times, Fault::Lost)
         .rate(0.005 * times, Fault::Damaged)
         .rate(0.001 * times, Fault::Doubled)
@@ -56,8 +56,8 @@ pub(crate) fn bad_line(times: f64) -> Faults {
 pub(crate) fn line_with_late_copies() -> Faults {
     Faults::none()
         .rate(0.01, Fault::Doubled)
-        .paused(0.02, Duration::from_millis(700))
-        .late(0.01, Duration::from_millis(900))
+        .up_to(0.02, Fault::Pause(63, Duration::from_millis(700)))
+        .up_to(0.01, Fault::Late(Duration::from_millis(900)))
         .seed(2)
 }
 

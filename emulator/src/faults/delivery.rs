@@ -4,8 +4,8 @@ use std::ops::Range;
 use std::time::Duration;
 
 use super::Fault;
+use crate::format::sextet;
 use crate::random::Random;
-use crate::reply::sextet;
 use crate::timing::LONGEST;
 
 /// Reply on its way to the host.
@@ -66,15 +66,8 @@ impl Delivery {
             Fault::Pause(at, pause) => self.pauses.push((at, pause.min(LONGEST))),
             Fault::Trickle(byte_time) => self.byte_time = Some(byte_time.min(LONGEST)),
             Fault::CrLf => {
-                *bytes = bytes
-                    .split_inclusive(|&byte| byte == b'\n')
-                    .flat_map(|line| match line {
-                        [text @ .., b'\n'] => [text, b"\r\n"],
-                        text => [text, b""],
-                    })
-                    .flatten()
-                    .copied()
-                    .collect();
+                let lines: Vec<_> = bytes.split(|&byte| byte == b'\n').collect();
+                *bytes = lines.join(&b"\r\n"[..]);
             }
             Fault::Reset(after) => self.end(after, Aftermath::Reset),
             Fault::HangUp(after) => self.end(after, Aftermath::HangUp),

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::mem::{Discriminant, discriminant, take};
 use std::time::Duration;
 
-use super::{Fault, Faults, RandomFault, Trigger};
+use super::{Details, Fault, Faults, Trigger};
 use crate::random::Random;
 use crate::timing::LONGEST;
 
@@ -67,25 +67,32 @@ impl FaultInjector {
     }
 }
 
-impl RandomFault {
+impl Details {
     fn draw(&self, random: &mut Random) -> Fault {
-        // A full scan has 1,576 bytes. In a shorter reply, a position past the end means
-        // the end.
-        let mut up_to = |longest: &Duration| (*longest).min(LONGEST).mul_f64(random.fraction());
-        match self {
-            Self::Late(longest) => Fault::Late(up_to(longest)),
-            Self::Pause(longest) => {
-                let pause = up_to(longest);
-                Fault::Pause(random.below(64) as usize, pause)
+        let most = match self {
+            Self::Fixed(fault) => return fault.clone(),
+            Self::UpTo(most) => most,
+        };
+        let up_to = |most: usize, random: &mut Random| {
+            random.below((most as u64).saturating_add(1)) as usize
+        };
+        let time =
+            |most: Duration, random: &mut Random| most.min(LONGEST).mul_f64(random.fraction());
+        match *most {
+            Fault::Late(longest) => Fault::Late(time(longest, random)),
+            Fault::Pause(last, longest) => {
+                let pause = time(longest, random);
+                Fault::Pause(up_to(last, random), pause)
             }
-            Self::ClockJump(longest) => {
-                let milliseconds = up_to(longest).as_millis() as i64;
+            Fault::ClockJump(milliseconds) => {
+                let longest = Duration::from_millis(milliseconds.unsigned_abs());
+                let milliseconds = time(longest, random).as_millis() as i64;
                 Fault::ClockJump(if random.below(2) == 0 { milliseconds } else { -milliseconds })
             }
-            Self::Noise(longest) => Fault::Noise(random.below(*longest as u64 + 1) as usize),
-            Self::Reset => Fault::Reset(random.below(1600) as usize),
-            Self::HangUp => Fault::HangUp(random.below(1600) as usize),
-            Self::Constant(fault) => fault.clone(),
+            Fault::Noise(longest) => Fault::Noise(up_to(longest, random)),
+            Fault::Reset(last) => Fault::Reset(up_to(last, random)),
+            Fault::HangUp(last) => Fault::HangUp(up_to(last, random)),
+            _ => most.clone(),
         }
     }
 }

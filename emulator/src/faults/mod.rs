@@ -92,7 +92,7 @@ pub enum Fault {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Faults {
     scripted: Vec<(Trigger, Fault)>,
-    random: Vec<(f64, RandomFault)>,
+    random: Vec<(f64, Details)>,
     seed: Option<u64>,
 }
 
@@ -107,16 +107,11 @@ enum Trigger {
     Once(Vec<u8>),
 }
 
-/// Fault whose details are drawn for each reply, up to a limit.
+/// Fault that is drawn for each reply.
 #[derive(Debug, Clone, PartialEq)]
-enum RandomFault {
-    Late(Duration),
-    Pause(Duration),
-    ClockJump(Duration),
-    Noise(usize),
-    Reset,
-    HangUp,
-    Constant(Fault),
+enum Details {
+    Fixed(Fault),
+    UpTo(Fault),
 }
 
 impl Faults {
@@ -159,49 +154,16 @@ impl Faults {
     /// Adds a fault that each reply has with this probability, 0 to 1.
     #[must_use]
     pub fn rate(mut self, probability: f64, fault: Fault) -> Self {
-        self.random.push((probability, RandomFault::Constant(fault)));
+        self.random.push((probability, Details::Fixed(fault)));
         self
     }
 
-    /// Delays a reply by up to `longest`, with this probability.
+    /// Adds a fault that each reply has with this probability, 0 to 1. The times, lengths and
+    /// positions of `Late`, `Pause`, `Noise`, `Reset` and `HangUp` are drawn for each reply, from 0 to
+    /// those of `most`. `ClockJump` goes forward or back. Other faults stay as they are.
     #[must_use]
-    pub fn late(mut self, probability: f64, longest: Duration) -> Self {
-        self.random.push((probability, RandomFault::Late(longest)));
-        self
-    }
-
-    /// Interrupts a reply for up to `longest`, with this probability.
-    #[must_use]
-    pub fn paused(mut self, probability: f64, longest: Duration) -> Self {
-        self.random.push((probability, RandomFault::Pause(longest)));
-        self
-    }
-
-    /// Moves the sensor's clock by up to `longest`, forward or back, with this probability.
-    #[must_use]
-    pub fn clock_jump(mut self, probability: f64, longest: Duration) -> Self {
-        self.random.push((probability, RandomFault::ClockJump(longest)));
-        self
-    }
-
-    /// Sends up to `longest` random bytes before a reply, with this probability.
-    #[must_use]
-    pub fn noise(mut self, probability: f64, longest: usize) -> Self {
-        self.random.push((probability, RandomFault::Noise(longest)));
-        self
-    }
-
-    /// Restarts the sensor during a reply, with this probability.
-    #[must_use]
-    pub fn reset(mut self, probability: f64) -> Self {
-        self.random.push((probability, RandomFault::Reset));
-        self
-    }
-
-    /// Hangs up the link during a reply, with this probability.
-    #[must_use]
-    pub fn hung_up(mut self, probability: f64) -> Self {
-        self.random.push((probability, RandomFault::HangUp));
+    pub fn up_to(mut self, probability: f64, most: Fault) -> Self {
+        self.random.push((probability, Details::UpTo(most)));
         self
     }
 

@@ -10,6 +10,8 @@ const NAMES: &str = "late, lost, command-lost, damaged, doubled, merged, noise, 
                      hang-up, ignored, wrong-sum, clock-jump (each =PROBABILITY) and seed=NUMBER";
 const DEFAULT_LONGEST: Duration = Duration::from_secs(1);
 const DEFAULT_NOISE_BYTES: usize = 64;
+/// A full scan has 1,576 bytes. In a shorter reply, a position past the end means the end.
+const LAST_POSITION: usize = 1599;
 /// More bytes than any burst of noise on a line.
 const MAX_NOISE_BYTES: usize = 65_536;
 
@@ -48,17 +50,16 @@ fn add(faults: Faults, part: &str) -> Result<Faults, String> {
         let seed = value.parse().map_err(|_| format!("expected seed=NUMBER, found `{value}`"))?;
         return Ok(faults.seed(seed));
     }
-    let (probability, detail) = match value.split_once(':') {
-        Some((probability, detail)) => (probability, Some(detail)),
-        None => (value, None),
-    };
-    match name {
-        "late" => Ok(faults.late(chance(probability)?, longest(detail)?)),
-        "pause" => Ok(faults.paused(chance(probability)?, longest(detail)?)),
-        "clock-jump" => Ok(faults.clock_jump(chance(probability)?, longest(detail)?)),
-        "noise" => Ok(faults.noise(chance(probability)?, length(detail)?)),
-        "reset" => Ok(faults.reset(chance_alone(name, probability, detail)?)),
-        "hang-up" => Ok(faults.hung_up(chance_alone(name, probability, detail)?)),
+    let mut parts = value.splitn(2, ':');
+    let (probability, detail) = (parts.next().unwrap_or_default(), parts.next());
+    let fault = match name {
+        "late" => Fault::Late(longest(detail)?),
+        "pause" => Fault::Pause(63, longest(detail)?),
+        "clock-jump" => {
+            let milliseconds = longest(detail)?.as_millis();
+            Fault::ClockJump(milliseconds.try_into().unwrap_or(i64::MAX))
+        }
+        "noise" => Fault::Noise(length(detail)?),
         _ => {
             let fault = match name {
                 "lost" => Fault::Lost,
@@ -66,30 +67,24 @@ fn add(faults: Faults, part: &str) -> Result<Faults, String> {
                 "damaged" => Fault::Damaged,
                 "doubled" => Fault::Doubled,
                 "merged" => Fault::Merged,
+                "reset" => Fault::Reset(LAST_POSITION),
+                "hang-up" => Fault::HangUp(LAST_POSITION),
                 "ignored" => Fault::Ignored,
                 "wrong-sum" => Fault::WrongSum,
                 _ => return Err(format!("unknown name `{name}`, expected {NAMES}")),
             };
-            Ok(faults.rate(chance_alone(name, probability, detail)?, fault))
+            if let Some(detail) = detail {
+                return Err(format!("{name} takes no limit, found `:{detail}`"));
+            }
+            fault
         }
-    }
-}
-
-/// Parses a probability.
-fn chance(text: &str) -> Result<f64, String> {
-    let probability = text.parse().ok().filter(|probability| (0.0..=1.0).contains(probability));
-    probability.ok_or_else(|| match text {
+    };
+    let chance = probability.parse().ok().filter(|chance| (0.0..=1.0).contains(chance));
+    let chance = chance.ok_or_else(|| match probability {
         "" => "expected a probability from 0 to 1 after `=`".to_owned(),
-        _ => format!("expected a probability from 0 to 1, found {text}"),
-    })
-}
-
-/// Parses the probability of a fault that takes no limit after a colon.
-fn chance_alone(name: &str, probability: &str, detail: Option<&str>) -> Result<f64, String> {
-    match detail {
-        Some(detail) => Err(format!("{name} takes no limit, found `:{detail}`")),
-        None => chance(probability),
-    }
+        _ => format!("expected a probability from 0 to 1, found {probability}"),
+    })?;
+    Ok(faults.up_to(chance, fault))
 }
 
 fn longest(detail: Option<&str>) -> Result<Duration, String> {

@@ -1,8 +1,8 @@
 //! [`Dialect`]: how a firmware answers the commands of SCIP 1.1.
 
-use super::command::{Command, Mistake};
-use super::encode;
+use super::command::Command;
 use crate::body::{Answer, Body, Effect, Measure};
+use crate::format::{BLOCK_BYTES, Reply, sextet};
 use tokio_scip::BaudRate;
 
 /// Firmware that an emulated URG-04LX plays.
@@ -84,11 +84,9 @@ impl Dialect {
                 let geometry = body.geometry(false);
                 let points = body.points(&geometry, steps, false, measure, |value| value);
                 let values: Vec<u32> = points.into_iter().map(|(value, _)| value).collect();
-                Answer { bytes: encode::distances(line, &values), effect: Effect::Scan }
+                Answer { bytes: distances(line, &values), effect: Effect::Scan }
             }
-            Command::Invalid(Mistake::Length) => status(line, b'1'),
-            Command::Invalid(Mistake::Parameter) => status(line, b'4'),
-            Command::Invalid(Mistake::Order) => status(line, b'5'),
+            Command::Invalid(refusal) => status(line, refusal),
             Command::Scip2 if self.firmware == Firmware::V31 => status(line, b'0'),
             Command::Scip2 => status(line, b'C'),
             Command::Undefined => status(line, b'E'),
@@ -116,8 +114,8 @@ impl Dialect {
     }
 
     fn version(&self, body: &Body, echo: &[u8]) -> Vec<u8> {
-        if let Some(lines) = &body.version_lines {
-            return encode::lines(echo, lines.iter().map(Vec::as_slice));
+        if let Some(given) = &body.version_lines {
+            return lines(echo, given.iter().map(Vec::as_slice));
         }
         let serial_number = &body.serial_number;
         let text = match self.firmware {
@@ -138,10 +136,26 @@ impl Dialect {
                 if self.firmware == Firmware::V3 { "3.3.00,08/04/16" } else { "3.1.04,07/08/02" },
             ),
         };
-        encode::lines(echo, text.split('\n').map(str::as_bytes))
+        lines(echo, text.split('\n').map(str::as_bytes))
     }
 }
 
-fn status(line: &[u8], status: u8) -> Answer {
-    encode::status_only(line, status).into()
+/// Encodes a reply without data (p. 3).
+pub(crate) fn status(line: &[u8], status: u8) -> Answer {
+    Reply::new(line, &[status]).end().into()
+}
+
+/// Encodes a reply of text lines, such as the reply to `V` (p. 4).
+fn lines<'a>(echo: &[u8], lines: impl IntoIterator<Item = &'a [u8]>) -> Vec<u8> {
+    let mut reply = Reply::new(echo, b"0");
+    lines.into_iter().for_each(|line| reply.line(line));
+    reply.end()
+}
+
+/// Encodes a reply with distance data: two characters per value, 64 bytes per line (p. 5,
+/// 6).
+fn distances(echo: &[u8], values: &[u32]) -> Vec<u8> {
+    let data: Vec<u8> =
+        values.iter().flat_map(|&value| [sextet(value >> 6), sextet(value)]).collect();
+    lines(echo, data.chunks(BLOCK_BYTES))
 }

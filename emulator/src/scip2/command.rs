@@ -4,6 +4,7 @@ use std::cmp::Ordering;
 use std::ops::Range;
 
 use crate::body::{Body, Steps};
+use crate::format::{baud_rate, number};
 use crate::models::Model;
 use tokio_scip::BaudRate;
 
@@ -164,18 +165,13 @@ impl Digits<'_> {
     }
 
     fn baud_rate(self) -> Result<Command, Refusal> {
-        Ok(Command::BaudRate(Some(match self.digits {
-            b"019200" => BaudRate::B19200,
+        match (baud_rate(self.digits), self.digits) {
+            (Some(baud_rate), _) => Ok(Command::BaudRate(Some(baud_rate))),
             // "Some sensor models may not be compatible" (p. 16), and so is none here.
-            b"038400" => return Ok(Command::BaudRate(None)),
-            b"057600" => BaudRate::B57600,
-            b"115200" => BaudRate::B115200,
-            b"250000" => BaudRate::B250000,
-            b"500000" => BaudRate::B500000,
-            b"750000" => BaudRate::B750000,
-            digits if digits.iter().all(u8::is_ascii_digit) => return Err(b"02"),
-            _ => return Err(b"01"),
-        })))
+            (None, b"038400") => Ok(Command::BaudRate(None)),
+            (None, digits) if digits.iter().all(u8::is_ascii_digit) => Err(b"02"),
+            (None, _) => Err(b"01"),
+        }
     }
 
     fn motor_speed(self) -> Result<Command, Refusal> {
@@ -217,8 +213,6 @@ impl Digits<'_> {
     }
 
     fn number(&self, place: Range<usize>) -> Option<u16> {
-        self.digits.get(place)?.iter().try_fold(0, |number, digit| {
-            digit.is_ascii_digit().then(|| number * 10 + u16::from(digit - b'0'))
-        })
+        number(self.digits.get(place)?)
     }
 }

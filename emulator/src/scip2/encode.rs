@@ -1,6 +1,6 @@
 //! Bytes of replies: the sum of each line, texts, and numbers in characters of six bits.
 
-use crate::reply::{BLOCK_BYTES, Reply, sextet};
+use crate::format::{BLOCK_BYTES, Reply, sextet};
 
 /// Low six bits of the sum of a line's bytes (C-42-03320B p. 9).
 fn sum(line: &[u8]) -> u8 {
@@ -12,7 +12,7 @@ fn with_sum(line: &[u8]) -> Vec<u8> {
 }
 
 /// Encodes a reply without data.
-pub(crate) fn status_only(echo: &[u8], status: [u8; 2]) -> Vec<u8> {
+pub(super) fn status_only(echo: &[u8], status: [u8; 2]) -> Vec<u8> {
     Reply::new(echo, &with_sum(&status)).end()
 }
 

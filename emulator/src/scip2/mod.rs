@@ -11,6 +11,5 @@ mod session;
 mod texts;
 
 pub(super) use self::command::Command;
-pub(super) use self::encode::status_only;
 pub use self::session::Quirk;
-pub(super) use self::session::{Session, Times};
+pub(super) use self::session::{Session, Times, status};

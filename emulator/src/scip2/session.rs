@@ -183,7 +183,11 @@ impl Session {
             C::LeaveClockMode if !self.is_in_clock_mode => b"03",
             // "It will not accept any other commands" (p. 15). urg_library knows the mode by 0E.
             _ if self.is_in_clock_mode && !command.is_for_clock_mode() => {
-                if body.model == Model::Ust10lx { b"10" } else { b"0E" }
+                if is_new {
+                    b"10"
+                } else {
+                    b"0E"
+                }
             }
             C::EnterClockMode if is_new && self.stream.is_some() => b"10",
             C::LaserOn | C::Stream { .. } | C::EnterClockMode if self.is_asleep => b"10",
@@ -337,7 +341,7 @@ fn time(microseconds: u64, unit: Unit) -> Vec<u8> {
     }
 }
 
-fn status(line: &[u8], status: &[u8; 2]) -> Answer {
+pub(crate) fn status(line: &[u8], status: &[u8; 2]) -> Answer {
     encode::status_only(line, *status).into()
 }
 

@@ -11,7 +11,6 @@ use tokio::net::TcpListener;
 
 use super::handle::Emulator;
 use super::link::{HostBaudRate, Link};
-use tokio_scip::BaudRate;
 
 #[cfg(all(unix, feature = "pty"))]
 pub use self::pty::Pty;
@@ -32,21 +31,6 @@ impl Emulator {
     /// The errors of the stream.
     pub async fn serve<S: AsyncRead + AsyncWrite>(&self, stream: S) -> io::Result<()> {
         pump(stream, self.open(HostBaudRate::FollowsSensor)).await
-    }
-
-    /// Serves the sensor like [`serve`](Self::serve), through a bridge whose line has a
-    /// fixed baud rate, such as ser2net. Bytes are garbled both ways while the sensor has
-    /// another baud rate.
-    ///
-    /// # Errors
-    ///
-    /// The errors of the stream.
-    pub async fn serve_at<S: AsyncRead + AsyncWrite>(
-        &self,
-        stream: S,
-        baud_rate: BaudRate,
-    ) -> io::Result<()> {
-        pump(stream, self.bridge(baud_rate)).await
     }
 
     /// Serves the sensor to one TCP client at a time, and to the next one when the
@@ -80,34 +64,29 @@ impl Emulator {
 pub(super) async fn pump<S: AsyncRead + AsyncWrite>(stream: S, link: Link) -> io::Result<()> {
     // Also ends if the client does not read, when the copying below would wait for it.
     let replaced = link.replaced();
-    let (mut from_client, mut to_client) = tokio::io::split(stream);
-    let (mut from_sensor, mut to_sensor) = tokio::io::split(link);
-    // Not `copy_bidirectional`: it flushes, which blocks on a terminal, and continues
-    // until both sides have hung up.
-    let commands = async {
-        let mut buffer = [0; 256];
-        loop {
-            let count = from_client.read(&mut buffer).await?;
-            let bytes = buffer.get(..count).unwrap_or_default();
-            if bytes.is_empty() || to_sensor.write_all(bytes).await.is_err() {
-                return Ok(());
-            }
-        }
-    };
-    let replies = async {
-        let mut buffer = [0; 2048];
-        loop {
-            let count = from_sensor.read(&mut buffer).await?;
-            let bytes = buffer.get(..count).unwrap_or_default();
-            if bytes.is_empty() {
-                return Ok(());
-            }
-            to_client.write_all(bytes).await?;
-        }
-    };
+    let (from_client, to_client) = tokio::io::split(stream);
+    let (from_sensor, to_sensor) = tokio::io::split(link);
     tokio::select! {
-        ended = commands => ended,
-        ended = replies => ended,
+        ended = copy(from_client, to_sensor) => match ended {
+            // The sensor has hung up.
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+            ended => ended,
+        },
+        ended = copy(from_sensor, to_client) => ended,
         () = replaced => Ok(()),
+    }
+}
+
+/// Copies bytes until the end of `from`. Unlike tokio's `copy` it does not flush, which blocks on a
+/// terminal.
+async fn copy(mut from: impl AsyncRead + Unpin, mut to: impl AsyncWrite + Unpin) -> io::Result<()> {
+    let mut buffer = [0; 2048];
+    loop {
+        let count = from.read(&mut buffer).await?;
+        let bytes = buffer.get(..count).unwrap_or_default();
+        if bytes.is_empty() {
+            return Ok(());
+        }
+        to.write_all(bytes).await?;
     }
 }

@@ -16,8 +16,7 @@ use super::faults::{FaultInjector, Faults};
 use super::journal::Journal;
 use super::line_buffer::{CommandLine, LineBuffer};
 use super::motor::Motor;
-use super::playback::NextReply;
-use super::source::Source;
+use super::playback::{NextReply, Source};
 use super::timing::DeviceTiming;
 use super::wire::{Transmitter, byte_time, garble};
 use super::world::WorldTime;
@@ -53,8 +52,6 @@ pub(super) struct TimedDevice {
     /// True if the script has ended, so that the sensor never comes back.
     pub(super) is_gone: bool,
     pub(super) source: Source,
-    /// True if links on USB say that they deliver every byte as sent.
-    pub(super) is_intact: bool,
     timing: DeviceTiming,
     pub(super) motor: Motor,
     pub(super) clock: Clock,
@@ -100,7 +97,6 @@ impl TimedDevice {
             is_hung_up: false,
             is_gone: false,
             source,
-            is_intact: false,
             timing,
             motor,
             clock,
@@ -136,10 +132,8 @@ impl TimedDevice {
             if at < self.powered_at + self.timing.boot {
                 continue;
             }
-            if self.line.is_empty() && self.is_answering(at) {
-                self.line.mark_overlapping();
-            }
-            if let Some(arrived) = self.line.push(byte, at, garbled.is_some()) {
+            let is_answering = self.is_answering(at);
+            if let Some(arrived) = self.line.push(byte, at, garbled.is_some(), is_answering) {
                 self.journal.record(&arrived, self.device.verdict(&arrived));
                 if self.waiting.len() < MAX_WAITING {
                     self.waiting.push_back(arrived);
@@ -265,7 +259,7 @@ impl TimedDevice {
         match self.events.pop_front() {
             Some((_, TimedEvent::BaudRate(baud_rate))) => {
                 self.device.body.baud_rate = Some(baud_rate);
-                if self.timing.stray_byte {
+                if !self.timing.omits_stray_byte {
                     self.send_unasked(at, vec![0]);
                 }
             }

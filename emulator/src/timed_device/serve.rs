@@ -69,16 +69,14 @@ impl TimedDevice {
 
     fn execute(&mut self, at: Instant, line: &CommandLine, faults: &[Fault]) -> Answer {
         if let Some(status) = refusal(faults) {
-            return self.device.refuse(&line.bytes, status).into();
+            return self.device.refuse(&line.bytes, status);
         }
         let (time, mut times) = self.times(at, faults);
         if let NextReply::At(_) = self.source.next_reply(&self.device, line, at)
             && let Some(playback) = &mut self.source.playback
+            && let Some(reply) = playback.advance(&line.bytes, &mut times)
         {
-            if let Some(reply) = playback.advance(&line.bytes, at) {
-                return reply.into();
-            }
-            times.scan = playback.script.clock().unwrap_or(times.scan);
+            return reply.into();
         }
         let before = faults.contains(&Fault::Ignored).then(|| self.device.clone());
         let mut measure = self.source.measure_at(time);
@@ -158,11 +156,8 @@ impl TimedDevice {
         self.journal.counts.replies += 1;
         let (time, mut times) = self.times(at, &faults);
         let refusal = refusal(&faults);
-        let mut scripted = None;
-        if let Some(playback) = self.source.playback.as_mut().filter(|_| refusal.is_none()) {
-            scripted = playback.advance(&echo, at);
-            times.scan = playback.script.clock().unwrap_or(times.scan);
-        }
+        let playback = self.source.playback.as_mut().filter(|_| refusal.is_none());
+        let scripted = playback.and_then(|playback| playback.advance(&echo, &mut times));
         let mut measure = self.source.measure_at(time);
         let Device { session, body, .. } = &mut self.device;
         let bytes = session.next_scan(body, times, refusal, scripted, &mut measure);

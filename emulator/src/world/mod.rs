@@ -2,9 +2,8 @@
 //! values are known in advance.
 //!
 //! `scene` and `room` are made of shapes (`surface`, `walk`), whose echoes `sweep`
-//! turns into values, as seen from a `mount`. `sparse` removes distances of any world.
+//! turns into values, as seen from a `path`. `sparse` removes distances of any world.
 
-mod mount;
 mod path;
 mod room;
 mod scene;
@@ -13,7 +12,6 @@ mod surface;
 mod sweep;
 mod walk;
 
-use std::fmt;
 use std::time::Duration;
 
 use crate::models::Geometry;
@@ -98,7 +96,7 @@ impl<F: FnMut(WorldTime, &mut Values) + Send> World for F {
 }
 
 /// World with the same values at any time.
-#[derive(Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fixed(Vec<u32>);
 
 impl Fixed {
@@ -110,12 +108,6 @@ impl Fixed {
     /// Creates a world with the same value at every step.
     pub fn filled(value: u32) -> Self {
         Self(vec![value])
-    }
-}
-
-impl fmt::Debug for Fixed {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Fixed").finish_non_exhaustive()
     }
 }
 

@@ -1,8 +1,11 @@
-//! [`Path`]: where a sensor is at a time, to test what estimates it.
+//! [`Path`]: where a sensor is at a time, to test what estimates it; and [`Mount`], which way its
+//! beams go from there.
 
 use std::time::Duration;
 
 use tokio_scip::scan::Pose;
+
+use super::surface::{Vector, millimetres};
 
 /// Path of a sensor: poses at times, with straight lines between them.
 ///
@@ -51,5 +54,28 @@ impl Path {
             (Some((_, pose)), None) | (None, Some((_, pose))) => *pose,
             (None, None) => Pose::default(),
         }
+    }
+}
+
+/// Place of the sensor, and the directions that it calls front and left.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Mount {
+    /// In millimetres.
+    pub(super) place: Vector,
+    front: Vector,
+    left: Vector,
+}
+
+impl Mount {
+    pub(super) fn at(pose: Pose) -> Self {
+        let (sine, cosine) = pose.heading.sin_cos();
+        let left = if pose.upside_down { (sine, -cosine) } else { (-sine, cosine) };
+        Self { place: millimetres((pose.x, pose.y)), front: (cosine, sine), left }
+    }
+
+    /// Returns the direction in the world of a beam, whose direction is in the sensor's frame.
+    pub(super) fn direction(&self, (ahead, beside): Vector) -> Vector {
+        let Self { front, left, .. } = self;
+        (ahead * front.0 + beside * left.0, ahead * front.1 + beside * left.1)
     }
 }

@@ -2,16 +2,13 @@
 
 use tokio_scip::scan::Pose;
 
-use super::mount::Mount;
+use super::path::Mount;
 use super::sparse::Sparse;
 use super::surface::{Echo, Surface, Vector, nearest};
-use super::sweep::{Noise, sweep};
-use super::walk::Stride;
+use super::sweep::sweep;
+use super::walk::{Stride, WALKING_SPEED};
 use super::{Values, World, WorldTime};
 use crate::random::{Random, mix};
-
-/// Speed of people.
-const WALK_MM_PER_SECOND: f64 = 700.0;
 
 /// Rectangular room with furniture, a doorway, a window, and people who walk.
 ///
@@ -124,14 +121,14 @@ impl Room {
 
 impl World for Room {
     fn measure(&mut self, time: WorldTime, values: &mut Values) {
-        let walked = WALK_MM_PER_SECOND * (time.at.as_micros() as f64 / 1_000_000.0);
+        let walked = WALKING_SPEED * 1000.0 * (time.at.as_micros() as f64 / 1_000_000.0);
         let people = self.people.iter();
         let legs: Vec<_> = people.flat_map(|person| person.legs(walked)).collect();
         let things = self.furniture.iter().chain(&legs);
         let things: Vec<_> = things.map(|thing| thing.seen_from(self.sensor.place)).collect();
-        sweep(Noise::Seeded(self.seed), time, values, |_, direction| {
+        sweep(Some(self.seed), time, values, |_, direction| {
             let direction = self.sensor.direction(direction);
-            nearest(&things, direction, self.wall(direction))
+            nearest(things.iter().copied(), direction, self.wall(direction))
         });
     }
 }

@@ -3,10 +3,9 @@
 
 use std::time::Duration;
 
-use super::mount::Mount;
-use super::path::Path;
-use super::surface::{Echo, Surface, nearest};
-use super::sweep::{Noise, sweep};
+use super::path::{Mount, Path};
+use super::surface::{Echo, Surface, millimetres, nearest};
+use super::sweep::sweep;
 use super::walk::Walk;
 use super::{Values, World, WorldTime};
 
@@ -35,10 +34,11 @@ const REFLECTS: f64 = 0.7;
 /// ```
 #[derive(Debug, Clone)]
 pub struct Scene {
-    noise: Noise,
+    /// Seed of the errors of measurement, or `None` for exact distances.
+    noise: Option<u64>,
     surfaces: Vec<Surface>,
     moving: Vec<Moving>,
-    sensor: Option<Path>,
+    sensor: Path,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -48,27 +48,27 @@ enum Moving {
 }
 
 impl Moving {
-    fn surfaces(&self, time: Duration) -> impl Iterator<Item = Surface> + use<> {
-        let (disc, legs) = match self {
+    fn surfaces(&self, time: Duration) -> Vec<Surface> {
+        let surfaces = match self {
             Self::Disc { radius, walk } => {
-                (walk.at(time).map(|at| Surface::disc(at.position, *radius, REFLECTS)), None)
+                walk.at(time).map(|at| vec![Surface::disc(at.position, *radius, REFLECTS)])
             }
-            Self::Person(walk) => (None, walk.at(time).map(|at| at.legs())),
+            Self::Person(walk) => walk.at(time).map(|at| at.legs().to_vec()),
         };
-        disc.into_iter().chain(legs.into_iter().flatten())
+        surfaces.unwrap_or_default()
     }
 }
 
 impl Scene {
     /// Creates a scene without surfaces. The seed determines the noise.
     pub fn new(seed: u64) -> Self {
-        Self { noise: Noise::Seeded(seed), surfaces: Vec::new(), moving: Vec::new(), sensor: None }
+        Self { noise: Some(seed), surfaces: Vec::new(), moving: Vec::new(), sensor: Path::new([]) }
     }
 
     /// Makes distances exact, rounded to a millimetre, and measures every point in range.
     #[must_use]
     pub fn without_noise(mut self) -> Self {
-        self.noise = Noise::None;
+        self.noise = None;
         self
     }
 
@@ -77,7 +77,7 @@ impl Scene {
     /// differ by a millimetre.
     #[must_use]
     pub fn sensor_on(mut self, path: Path) -> Self {
-        self.sensor = Some(path);
+        self.sensor = path;
         self
     }
 
@@ -130,19 +130,10 @@ impl World for Scene {
         let moving: Vec<_> = (0..values.len()).step_by(STILL).map(moving).collect();
         sweep(self.noise, time, values, |step, direction| {
             let moving = moving.get(step / STILL).into_iter().flatten();
+            let sensor = Mount::at(self.sensor.pose(time.at_step(step)));
             let surfaces = self.surfaces.iter().chain(moving);
-            match &self.sensor {
-                None => nearest(surfaces, direction, Echo::NONE),
-                Some(path) => {
-                    let sensor = Mount::at(path.pose(time.at_step(step)));
-                    let seen = surfaces.map(|surface| surface.seen_from(sensor.place));
-                    nearest(seen, sensor.direction(direction), Echo::NONE)
-                }
-            }
+            let seen = surfaces.map(|surface| surface.seen_from(sensor.place));
+            nearest(seen, sensor.direction(direction), Echo::NONE)
         });
     }
-}
-
-fn millimetres((x, y): (f64, f64)) -> (f64, f64) {
-    (x * 1000.0, y * 1000.0)
 }

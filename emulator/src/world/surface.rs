@@ -4,10 +4,13 @@
 //! additions, multiplications, divisions and square roots. IEEE 754 defines these to the
 //! last bit, so the scans are the same on every machine.
 
-use std::borrow::Borrow;
-
 /// Position, or direction of length 1.
 pub(super) type Vector = (f64, f64);
+
+/// Converts a position in metres.
+pub(super) fn millimetres((x, y): (f64, f64)) -> Vector {
+    (x * 1000.0, y * 1000.0)
+}
 
 /// Nearest surface that a beam meets.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -102,11 +105,11 @@ fn wall(direction: Vector, from: Vector, to: Vector) -> Option<(f64, f64)> {
 
 /// Nearest echo of `surfaces`, or `background` if that is nearer.
 pub(super) fn nearest(
-    surfaces: impl IntoIterator<Item: Borrow<Surface>>,
+    surfaces: impl IntoIterator<Item = Surface>,
     direction: Vector,
     background: Echo,
 ) -> Echo {
-    surfaces.into_iter().filter_map(|surface| surface.borrow().echo(direction)).fold(
+    surfaces.into_iter().filter_map(|surface| surface.echo(direction)).fold(
         background,
         |nearest, echo| if echo.distance < nearest.distance { echo } else { nearest },
     )

@@ -5,19 +5,11 @@ use super::{Values, WorldTime};
 use crate::models::Geometry;
 use crate::random::{fraction, mix};
 
-/// Errors of measurement.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Noise {
-    /// Errors like a real sensor's, drawn from this seed: each distance is off by some
-    /// millimetres, and some points are missing.
-    Seeded(u64),
-    /// No errors: each distance is exact, rounded to a millimetre.
-    None,
-}
-
-/// Measures the echo of each step, in its direction, and fills in its value.
+/// Measures the echo of each step, in its direction, and fills in its value. Draws errors like a
+/// real sensor's from the seed `noise`: each distance is off by some millimetres, and some points
+/// are missing. `None` rounds each distance to a millimetre.
 pub(super) fn sweep(
-    noise: Noise,
+    noise: Option<u64>,
     time: WorldTime,
     values: &mut Values,
     echo: impl Fn(usize, Vector) -> Echo,
@@ -31,8 +23,8 @@ pub(super) fn sweep(
         if window.contains(&step) {
             let echo = echo(step, direction);
             *value = match noise {
-                Noise::None => geometry.value(echo.distance.round()),
-                Noise::Seeded(seed) => {
+                None => geometry.value(echo.distance.round()),
+                Some(seed) => {
                     let revolution = mix(seed ^ mix(time.revolution.wrapping_add(1)));
                     noisy_value(&geometry, echo, mix(revolution.wrapping_add(step as u64)))
                 }
@@ -43,7 +35,7 @@ pub(super) fn sweep(
             direction.1 * turn.0 + direction.0 * turn.1,
         );
     }
-    if noise != Noise::None {
+    if noise.is_some() {
         hide_lone_points(&geometry, values);
     }
 }

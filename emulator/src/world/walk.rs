@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use super::surface::{Surface, Vector};
+use super::surface::{Surface, Vector, millimetres};
 
-/// Usual speed of a person.
-const WALKING_SPEED: f64 = 0.7;
+/// Usual speed of a person, in metres per second.
+pub(super) const WALKING_SPEED: f64 = 0.7;
 
 /// Straight path at constant speed.
 ///
@@ -80,7 +80,6 @@ impl Walk {
         if !self.repeats && since > self.duration() {
             return None;
         }
-        let millimetres = |(x, y): Vector| (x * 1000.0, y * 1000.0);
         let walked = self.speed * 1000.0 * (since.as_micros() as f64 / 1_000_000.0);
         Some(Stride::between(millimetres(self.from), millimetres(self.to), walked))
     }

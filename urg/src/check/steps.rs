@@ -168,7 +168,7 @@ mod tests {
         let (bad, text) = test(turning(), Faults::none(), 10).await;
         assert_eq!(bad, [], "{text}");
         assert!(text.contains("motor    601.4"), "{text}");
-        let late = Faults::none().late(0.25, Duration::from_millis(48)).seed(1);
+        let late = Faults::none().up_to(0.25, Fault::Late(Duration::from_millis(48))).seed(1);
         let (bad, text) = test(turning(), late, 120).await;
         assert!(bad.contains(&("motor", Verdict::Weak)), "{text}");
         assert!(text.contains("this computer is busy"), "{text}");
