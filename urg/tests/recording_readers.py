@@ -34,6 +34,7 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
+from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -139,6 +140,25 @@ def read_with_rosbags(path):
     return scans
 
 
+def read_as_ros1(path):
+    """The scans in ROS 1's format, as the command of the guide converts them."""
+    bag = path.with_suffix(".bag")
+    bag.unlink(missing_ok=True)
+    convert = Path(sys.executable).with_name("rosbags-convert")
+    subprocess.run([convert, "--src", path, "--dst", bag], check=True)
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Ros1Reader(bag) as reader:
+        topic = [connection for connection in reader.connections if connection.topic == "/scan"]
+        # The sum of ROS 1's own definition: subscribers refuse any other.
+        assert [connection.digest for connection in topic] == ["90c7ef2dc6895d81024acba2ac42f369"]
+        scans = [
+            scan(store.deserialize_ros1(data, connection.msgtype))
+            for connection, _, data in reader.messages(topic)
+        ]
+    bag.unlink()
+    return scans
+
+
 def range_of(code):
     """A 12-bit code in metres, after the protocol text and REP 117."""
     if code in BEYOND_RANGE:
@@ -199,6 +219,7 @@ def main():
         expected = [(found[0], *wanted[1:]) for found, wanted in zip(scans, expected, strict=True)]
     check("mcap-ros2-support", scans, expected)
     check("rosbags", read_with_rosbags(path), expected)
+    check("ROS 1", read_as_ros1(path), expected)
     # Polls ask for some groups more than the stream wants.
     from_replies = [
         (stamp if IS_RUN else reply[2] - FIRST_RAY, frame, ranges_of(reply)[-len(ranges) :])
