@@ -269,6 +269,39 @@ fn a_damaged_kind_ends_no_file_before_its_metadata() {
 }
 
 #[test]
+fn a_damaged_kind_ends_no_file_before_damage() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    let place = 8 + chunk.len() as u64;
+    let damaged = of_kind(0x0f, &[&[0; 2][..], &claims(16), &[0; 16]].concat());
+    // A stray byte, or a damaged kind.
+    for (next, length) in [(b"\0".to_vec(), 1), (of_kind(0x5b, &[1; 30]), 39)] {
+        let file = [MAGIC, &chunk, &damaged, &next, &chunk, &chunk, &end()].concat();
+        let (places, events, is_truncated) = read(&file);
+        assert_eq!((events, is_truncated), (3, false), "{length}");
+        assert!(places[0] >= place, "{places:?}");
+    }
+}
+
+#[test]
+fn a_message_index_with_a_wrong_length_hides_no_chunk() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    let mut index = of_kind(0x07, &[&[0; 2][..], &claims(16), &[0; 16]].concat());
+    // The length of its entries is now what was its length and the channel.
+    index.insert(3, 0x10);
+    let many = 1 + 5_000 / chunk.len();
+    let file = [MAGIC, &chunk, &index, &chunk.repeat(many), &end()].concat();
+    assert_eq!(read(&file), (vec![8 + chunk.len() as u64], 1 + many, false));
+}
+
+#[test]
+fn a_damaged_attachment_refuses_no_file() {
+    // Its media type stands where a chunk has the name of its compression.
+    let content = [&[0; 16][..], &text("12345678"), &text("text/yaml"), &[0; 8], &[0; 4]].concat();
+    let file = [MAGIC, &channel(), &of_kind(0x06, &content), &event(0).repeat(2), &end()].concat();
+    assert_eq!(read(&file), (vec![8 + channel().len() as u64], 2, false));
+}
+
+#[test]
 fn metadata_at_a_damaged_beginning_is_read() {
     let chunk = chunk_of(&[channel(), event(0)].concat());
     let file = [&MAGIC[..4], &metadata(), &chunk, &end()].concat();

@@ -286,7 +286,12 @@ pub(super) fn next_start<E>(
     // are long enough: then the length is wrong.
     let stray = (!extent.is_chunk).then_some(1);
     let more = extent.end - extent.fields;
-    let more = if more < RECORD_HEAD as u64 { extent.end } else { extent.fields };
+    let more = match extent.kind {
+        // Its times and offsets do not look like a record.
+        kind::MESSAGE_INDEX => 1,
+        _ if more < RECORD_HEAD as u64 => extent.end,
+        _ => extent.fields,
+    };
     let ends = (more..extent.end.min(known)).chain([extent.end]);
     for at in stray.into_iter().chain(ends).chain(1..extent.end.min(known)) {
         // Only a whole record may end where the file does.

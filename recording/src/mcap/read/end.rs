@@ -1,9 +1,9 @@
 //! Checks a file's end: its summary, and the footer that has the position of the summary.
 
-use super::Sections;
+use super::{Sections, is_data};
 use crate::RecordingError;
 use crate::mcap::form::{Extent, record_head};
-use crate::mcap::{FILE_END, FOOTER_BYTES, Fields, MAGIC, RECORD_HEAD, kind};
+use crate::mcap::{FILE_END, FOOTER_BYTES, Fields, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
 
 impl Sections {
     /// Reads the end of the file, starting at the record that ends its data. Returns true if other
@@ -21,9 +21,12 @@ impl Sections {
             let Some((kind, length)) = record_head(head) else { return Ok(false) };
             if kind != kind::FOOTER {
                 let length = length.saturating_add(RECORD_HEAD as u64);
-                if !window.skip_with(length, |bytes| summary.update(bytes))? {
+                let known = window.peek(length.min(MAX_CHUNK_BYTES) as usize)?.len() as u64;
+                // Stays before what is no summary: it may be data.
+                if known < length || window.begins(0, is_data)? {
                     return Ok(false);
                 }
+                window.skip_with(length, |bytes| summary.update(bytes))?;
                 continue;
             }
             let Some(checked) = head.get(..RECORD_HEAD + FOOTER_BYTES - 4) else {

@@ -188,6 +188,10 @@ impl Sections {
             }
             return Err(error);
         }
+        if extent.kind == kind::MESSAGE {
+            // A file with a message outside of chunks has no compressed ones: it was no chunk.
+            self.unknown = None;
+        }
         self.used = length;
         Ok(Some(Section::Record { kind: extent.kind, content }))
     }
@@ -203,7 +207,16 @@ impl Sections {
         if extent.kind == kind::DATA_END && self.has_wrong_checksum() {
             return Err(self.damaged("the checksum of the file is wrong"));
         }
-        self.is_truncated |= !self.is_end_whole(extent)?;
+        let is_whole = self.is_end_whole(extent)?;
+        // The same, with damage after it.
+        if !is_whole && extent.kind == kind::DATA_END && !extent.is_proved() {
+            let error = self.damaged(WRONG_HEAD);
+            if !self.window.begins(0, is_data)? {
+                self.find_record()?;
+            }
+            return Err(error);
+        }
+        self.is_truncated |= !is_whole;
         let is_joined = self.skip_to_joined()?;
         if is_joined {
             self.has_chunks = None;
