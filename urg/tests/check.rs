@@ -122,6 +122,18 @@ async fn drift_and_jumps_of_a_recorded_clock_are_told() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn scans_that_never_came_are_told_of_a_recording() {
+    let file = Scratch::mcap("check-lost");
+    let lossy = Faults::none().at(60, Fault::Lost).at(61, Fault::Lost).at(70, Fault::WrongSum);
+    let sensor = Emulator::builder().model(Model::Ust10lx).faults(lossy).build();
+    recording_of(sensor, file.path(), Window::DETECTION, Rate::hz(40.0), 200).await;
+    let check = run(&format!("check {}", file.path()), 0).stdout;
+    let losses = "losses   1 poll without a scan, 2 scans lost on the way\n";
+    assert!(check.contains(losses), "{check}");
+    assert!(check.ends_with("\nit works; weak: left out, losses\n"), "{check}");
+}
+
+#[tokio::test(start_paused = true)]
 async fn the_bag_of_another_program_is_judged() {
     let file = Scratch::mcap("check-bag");
     recording(file.path(), Window::DETECTION, 20).await;

@@ -52,7 +52,7 @@ async fn recorded(mut recorder: Recorder, mut scans: ScanStream, count: usize) -
     while all.len() < count {
         let item = scans.next().await.unwrap();
         recorder.record(&item).unwrap();
-        all.push(item.unwrap().raw_values().map(u64::from).collect());
+        all.extend(item.iter().map(|scan| scan.raw_values().map(u64::from).collect()));
     }
     assert_eq!(recorder.progress().lost, 0);
     recorder.finish().await.unwrap();

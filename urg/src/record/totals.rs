@@ -19,6 +19,8 @@ pub(crate) struct RecordTotals {
     missed: u64,
     /// Polls without a scan over a working link.
     failed: u64,
+    /// Scans of a stream that did not arrive whole, as the sensor's clock tells.
+    lost_on_the_way: u64,
     /// Polls that were not sent in time.
     skipped: u64,
     gaps: u64,
@@ -30,12 +32,14 @@ impl RecordTotals {
         let stats = reporter.sensor.stats();
         let (missed, failed, gaps) = (reporter.missed, reporter.failed, times.gaps.len() as u64);
         let (skipped, disconnects) = (stats.polls_skipped, stats.disconnects);
-        Self { progress, missed, failed, skipped, gaps, disconnects }
+        // Damage has an error as well.
+        let lost_on_the_way = stats.lost.saturating_sub(failed);
+        Self { progress, missed, failed, lost_on_the_way, skipped, gaps, disconnects }
     }
 
     /// Formats the counts of a recording of this length.
     pub(crate) fn after(self, length: Duration) -> String {
-        let Self { progress, missed, failed, skipped, gaps, disconnects } = self;
+        let Self { progress, missed, failed, lost_on_the_way, skipped, gaps, disconnects } = self;
         let Progress { scans, bytes, files, lost, lost_replies, late_syncs, .. } = progress;
         let scans = counted(scans + missed, "scan");
         let mut text = format!("{scans} in {}, ", clock(length.as_secs_f64()));
@@ -44,13 +48,14 @@ impl RecordTotals {
         if files > 1 {
             let _ = write!(text, " in {files} files");
         }
-        if lost + skipped + gaps == 0 {
+        if lost + lost_on_the_way + skipped + gaps == 0 {
             text.push_str(", none lost");
         }
         for (count, one, more) in [
             (lost, "lost", "lost"),
             (lost_replies, "reply lost", "replies lost"),
             (failed, "poll without a scan", "polls without a scan"),
+            (lost_on_the_way, "lost on the way", "lost on the way"),
             (skipped, "poll skipped", "polls skipped"),
             (gaps, "gap", "gaps"),
             (disconnects, "disconnect", "disconnects"),
@@ -77,12 +82,19 @@ mod tests {
         let mut progress = Progress::default();
         (progress.scans, progress.bytes, progress.files) = (3, 13_999, 2);
         (progress.lost, progress.lost_replies, progress.late_syncs) = (1, 5, 7);
-        let bad =
-            RecordTotals { progress, missed: 1, failed: 4, skipped: 40, gaps: 1, disconnects: 1 };
+        let bad = RecordTotals {
+            progress,
+            missed: 1,
+            failed: 4,
+            lost_on_the_way: 2,
+            skipped: 40,
+            gaps: 1,
+            disconnects: 1,
+        };
         assert_eq!(
             bad.after(Duration::from_millis(999)),
             "4 scans in 0:00, 14.0 kB in 2 files, 1 lost, 5 replies lost, 4 polls without a scan, \
-             40 polls skipped, 1 gap, 1 disconnect, 7 late syncs"
+             2 lost on the way, 40 polls skipped, 1 gap, 1 disconnect, 7 late syncs"
         );
     }
 }

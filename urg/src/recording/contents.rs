@@ -62,7 +62,11 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
                 log_times.add(recorded.log_time());
                 times.add(recorded.position(), scan.times().stamp);
                 if let Some(clock) = recorded.sensor_clock() {
-                    sensor_clock.add(clock, recorded.position());
+                    let revolution = scan.geometry().revolution();
+                    let is_every =
+                        rate.is_some_and(|rate| rate.period() < Some(revolution * 5 / 4));
+                    let period = is_every.then_some(revolution);
+                    sensor_clock.add(clock, recorded.position(), period);
                 }
             }
             Err(RecordingError::Damaged { offset, .. }) => damaged_at.push(offset),
@@ -71,7 +75,6 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
             Err(error) => return Err(error),
         }
     }
-    let losses = recorded.failed_polls();
     let complete = !recorded.recording().is_truncated() && damaged_at.is_empty();
     let left_out = recorded.recording().left_out().counts();
     let ScanTimes { scans, gaps, clock_steps, .. } = &mut times;
@@ -106,18 +109,7 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
             true => ("gaps", Value::Null, "not known without log times".to_owned()),
             false => ("gaps", json!(gaps), listed(gaps, Gap::to_string)),
         },
-        match losses {
-            // Another program recorded only the scans.
-            0 if recorded.version() == Version::default() => {
-                ("losses", Value::Null, "not recorded".to_owned())
-            }
-            0 => ("losses", json!(0), "none".to_owned()),
-            _ => {
-                // Nothing tells which one.
-                let of = if recorded.serial_numbers().len() > 1 { " of all sensors" } else { "" };
-                ("losses", json!(losses), counted(losses, "poll") + " without a scan" + of)
-            }
-        },
+        losses_row(&recorded, sensor_clock.lost),
         ("complete", json!(complete), end),
     ];
     rows.push(compression_row(&recorded.recording().chunk_bytes()));
@@ -151,6 +143,27 @@ fn left_out_row(counts: &[LeftOut]) -> Row {
         counts => counts.iter().map(LeftOut::to_string).collect::<Vec<_>>().join("; "),
     };
     ("left_out", json!(counts), text)
+}
+
+/// Describes what did not arrive. `lost` are the scans that the sensor's clock shows to be missing, even
+/// without an error.
+fn losses_row(recorded: &RecordedScans, lost: u64) -> Row {
+    let failed = recorded.failed_polls();
+    if lost.max(failed) == 0 && recorded.version() == Version::default() {
+        // Another program recorded only the scans.
+        return ("losses", Value::Null, "not recorded".to_owned());
+    }
+    // Nothing tells which sensor's.
+    let of = if recorded.serial_numbers().len() > 1 { " of all sensors" } else { "" };
+    let polls = counted(failed, "poll") + " without a scan" + of;
+    let scans = counted(lost.saturating_sub(failed), "scan") + " lost on the way";
+    let text = match (failed, lost) {
+        (0, 0) => "none".to_owned(),
+        (0, _) => scans,
+        _ if lost <= failed => polls,
+        _ => format!("{polls}, {scans}"),
+    };
+    ("losses", json!(lost.max(failed)), text)
 }
 
 fn compression_row(bytes: &ChunkBytes) -> Row {

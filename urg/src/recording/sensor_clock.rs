@@ -1,4 +1,5 @@
-//! [`SensorClock`]: how fast the clock of a recorded sensor runs, and whether it has jumped.
+//! [`SensorClock`]: how fast the clock of a recorded sensor runs, whether it has jumped, and which scans
+//! of a stream it shows to be missing.
 
 use std::time::Duration;
 
@@ -15,6 +16,8 @@ const TOLERANCE: f64 = 0.25;
 const LARGEST_DRIFT: f64 = 0.01;
 /// Number of scans in a row, all off by the same, that mean a jump.
 const JUMP: u32 = 20;
+/// Longest time in seconds between two scans that counts as lost scans. A longer one is a gap.
+const LONGEST_LOSS: f64 = 1.0;
 /// Seconds that a drift needs: each of its ends is known to about a millisecond.
 const SHORTEST: f64 = 10.0;
 
@@ -33,6 +36,10 @@ pub(super) struct SensorClock {
     earliest: Vec<(f64, f64)>,
     longest: Drift,
     jumps: u64,
+    /// Clock at the previous scan.
+    previous: Option<f64>,
+    /// Number of scans that the sensor has measured between others, and the file does not have.
+    pub(super) lost: u64,
 }
 
 /// Reading of the sensor's clock, in seconds.
@@ -54,9 +61,17 @@ struct Drift {
 }
 
 impl SensorClock {
-    /// Adds a scan at this position on a steady clock.
-    pub(super) fn add(&mut self, clock: Duration, position: Duration) {
+    /// Adds a scan at this position on a steady clock. `period` is the time between two scans if the
+    /// sensor sends all.
+    pub(super) fn add(&mut self, clock: Duration, position: Duration, period: Option<Duration>) {
         let (clock, position) = (clock.as_secs_f64(), position.as_secs_f64());
+        if let (Some(previous), Some(period)) = (self.previous.replace(clock), period) {
+            let passed = (clock - previous).rem_euclid(WRAP);
+            if passed < LONGEST_LOSS {
+                let periods = (passed / period.as_secs_f64()).round();
+                self.lost += (periods as u64).saturating_sub(1);
+            }
+        }
         let Some(latest) = self.latest else {
             return self.start(Reading { clock, position, ahead: 0.0 });
         };
@@ -153,7 +168,7 @@ mod tests {
             let reading = (5.0 + measured) * (1.0 + ppm / 1e6);
             let reading = Duration::from_millis((reading * 1000.0) as u64 % (1 << 24));
             let position = measured + f64::from(late(number)) / 1000.0;
-            clock.add(reading, Duration::from_secs_f64(position));
+            clock.add(reading, Duration::from_secs_f64(position), None);
         }
         clock.row().unwrap().2
     }
@@ -183,11 +198,23 @@ mod tests {
             for (from, seconds) in [(0, before), (before + off, 30)] {
                 for number in 0..seconds * 40 {
                     let since = Duration::from_millis(25) * number;
-                    clock.add(since * 1001 / 1000, Duration::from_secs(from.into()) + since);
+                    let position = Duration::from_secs(from.into()) + since;
+                    clock.add(since * 1001 / 1000, position, None);
                 }
             }
             let text = clock.row().unwrap().2;
             assert_eq!(text, "0.10 % fast; it jumped 1 time: check the power", "{before} {off}");
         }
+    }
+
+    #[test]
+    fn scans_that_the_clock_shows_to_be_missing_are_counted() {
+        let mut clock = SensorClock::default();
+        let at = |number: u32| Duration::from_millis(25) * number;
+        // Two are missing, one is twice there, and a pause is a gap.
+        for number in [0, 1, 2, 5, 6, 6, 7, 100, 101] {
+            clock.add(at(number), at(number), Some(at(1)));
+        }
+        assert_eq!(clock.lost, 2);
     }
 }
