@@ -113,7 +113,7 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
         ("complete", json!(complete), end),
     ];
     rows.push(compression_row(&recorded.recording().chunk_bytes()));
-    rows.extend(sensor_clock.row());
+    rows.extend(sensor_clock.describe().map(|(data, text)| ("sensor_clock", data, text)));
     rows.extend(source_row(&recorded));
     // The row of the clock has those that were set back.
     let faults = [

@@ -3,9 +3,8 @@
 
 use std::time::Duration;
 
-use serde_json::json;
+use serde_json::{Value, json};
 
-use super::contents::Row;
 use crate::format::counted;
 
 /// The clock of SCIP 2 counts milliseconds, with 24 bits.
@@ -129,8 +128,8 @@ impl SensorClock {
         Drift { seconds, rate: longest.map_or(0.0, |(begin, end)| slope(*begin, *end)) }
     }
 
-    /// Describes the clock, if the sensor has one.
-    pub(super) fn row(&self) -> Option<Row> {
+    /// Describes the clock as JSON and as text, if the sensor has one.
+    pub(super) fn describe(&self) -> Option<(Value, String)> {
         self.latest?;
         let (drift, jumps) = (self.drift(), self.jumps);
         let ppm = (drift.seconds >= SHORTEST).then(|| (drift.rate * 1e6).round());
@@ -144,7 +143,7 @@ impl SensorClock {
         if jumps > 0 {
             text += &format!("; it jumped {}: check the power", counted(jumps, "time"));
         }
-        Some(("sensor_clock", json!({ "drift_ppm": ppm, "jumps": jumps }), text))
+        Some((json!({ "drift_ppm": ppm, "jumps": jumps }), text))
     }
 }
 
@@ -160,8 +159,8 @@ fn slope(from: (f64, f64), to: (f64, f64)) -> f64 {
 mod tests {
     use super::*;
 
-    /// Row after scans at 40 Hz by a clock that gains `ppm`, each late by `late(number)` ms.
-    fn row(ppm: f64, seconds: u32, late: impl Fn(u32) -> u32) -> String {
+    /// Description after scans at 40 Hz by a clock that gains `ppm`, each late by `late(number)` ms.
+    fn described(ppm: f64, seconds: u32, late: impl Fn(u32) -> u32) -> String {
         let mut clock = SensorClock::default();
         for number in 0..40 * seconds {
             let measured = f64::from(number) * 0.025;
@@ -170,25 +169,25 @@ mod tests {
             let position = measured + f64::from(late(number)) / 1000.0;
             clock.add(reading, Duration::from_secs_f64(position), None);
         }
-        clock.row().unwrap().2
+        clock.describe().unwrap().1
     }
 
     #[test]
     fn the_drift_is_that_of_the_earliest_arrivals() {
-        assert_eq!(row(1_200.0, 60, |_| 1), "0.12 % fast");
-        assert_eq!(row(-1_200.0, 60, |_| 1), "0.12 % slow");
+        assert_eq!(described(1_200.0, 60, |_| 1), "0.12 % fast");
+        assert_eq!(described(-1_200.0, 60, |_| 1), "0.12 % slow");
         // Busy from half of the time on, and stopped for 5 s.
         assert_eq!(
-            row(-400.0, 60, |number| if number < 1200 { 1 } else { 7 * (number % 5) }),
+            described(-400.0, 60, |number| if number < 1200 { 1 } else { 7 * (number % 5) }),
             "0.04 % slow"
         );
         assert_eq!(
-            row(500.0, 60, |number| 5_000_u32.saturating_sub(25 * (number % 1000))),
+            described(500.0, 60, |number| 5_000_u32.saturating_sub(25 * (number % 1000))),
             "0.05 % fast"
         );
-        assert_eq!(row(500.0, 9, |_| 1), "its drift needs 10 s without a jump");
+        assert_eq!(described(500.0, 9, |_| 1), "its drift needs 10 s without a jump");
         // Through a wrap.
-        assert_eq!(row(500.0, 17_000, |_| 1), "0.05 % fast");
+        assert_eq!(described(500.0, 17_000, |_| 1), "0.05 % fast");
     }
 
     #[test]
@@ -202,7 +201,7 @@ mod tests {
                     clock.add(since * 1001 / 1000, position, None);
                 }
             }
-            let text = clock.row().unwrap().2;
+            let text = clock.describe().unwrap().1;
             assert_eq!(text, "0.10 % fast; it jumped 1 time: check the power", "{before} {off}");
         }
     }
