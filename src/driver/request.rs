@@ -9,6 +9,7 @@ use tokio::sync::{mpsc, oneshot};
 use tokio::time::{Instant, sleep_until};
 
 use crate::protocol::Version;
+use crate::protocol::scip2::State;
 use crate::ring::Cursor;
 use crate::state::LinkState;
 use crate::{BaudRate, ErrorKind, Geometry, Rate, Scan, Window};
@@ -21,6 +22,7 @@ pub(crate) type Responder<T> = oneshot::Sender<Result<T, ErrorKind>>;
 pub(crate) enum Request {
     Version(Responder<Version>),
     Geometry(Responder<Geometry>),
+    State(Responder<Option<State>>),
     Laser {
         on: bool,
         responder: Responder<()>,
@@ -50,6 +52,7 @@ impl Request {
         match self {
             Self::Version(responder) => responder.is_closed(),
             Self::Geometry(responder) => responder.is_closed(),
+            Self::State(responder) => responder.is_closed(),
             Self::Laser { responder, .. }
             | Self::BaudRate { responder, .. }
             | Self::Close(responder) => responder.is_closed(),
@@ -64,6 +67,7 @@ impl Request {
         match self {
             Self::Version(responder) => drop(responder.send(Err(error))),
             Self::Geometry(responder) => drop(responder.send(Err(error))),
+            Self::State(responder) => drop(responder.send(Err(error))),
             Self::Laser { responder, .. }
             | Self::BaudRate { responder, .. }
             | Self::Close(responder) => drop(responder.send(Err(error))),

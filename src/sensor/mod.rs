@@ -7,7 +7,7 @@ pub use self::builder::SensorBuilder;
 use crate::RawReply;
 use crate::driver::{Client, ReplyObservation, Request};
 use crate::port::Endpoint;
-use crate::protocol::scip2::Parameters;
+use crate::protocol::scip2::{Parameters, State};
 use crate::protocol::{Command, Protocol, Version};
 use crate::state::{Freshness, StateWatch};
 use crate::stats::Stats;
@@ -95,6 +95,15 @@ impl Sensor {
     /// and its geometry in numbers. `None` in SCIP 1.1, and without a link.
     pub fn parameters(&self) -> Option<Parameters> {
         Some(self.client.shared().link.version_reply()?.parameters?.parameters.clone())
+    }
+
+    /// Asks the sensor for its state in SCIP 2 (`II`): laser, motor, clock, and in its own words whether
+    /// it works. `None` in SCIP 1.1, where [`Version::status`] is all that a sensor tells.
+    ///
+    /// A stream of scans ends before, because some models would send halves of scans, and goes on
+    /// afterwards: the scans in between are missing.
+    pub async fn sensor_state(&self) -> Result<Option<State>, Error> {
+        self.client.ask(Request::State).await
     }
 
     /// Switches the laser on (`L1`, p. 4), and confirms it. Succeeds if the laser is on already.

@@ -41,6 +41,30 @@ async fn a_laser_that_was_switched_off_stays_off() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn the_state_is_told_beside_a_stream() {
+    for model in [Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx] {
+        let sensor = builder().connect(numbered(model).build()).await.unwrap();
+        let idle = sensor.sensor_state().await.unwrap().unwrap();
+        assert_eq!(idle.laser_on, Some(false), "{model:?}");
+        let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+        let before = revolution(&next(&mut stream).await);
+        let state = sensor.sensor_state().await.unwrap().unwrap();
+        assert!(state.diagnosis.to_string().contains("work"), "{state:?}");
+        assert_eq!(state.laser_on, Some(true), "{model:?}");
+        assert!(state.clock > idle.clock, "{model:?}");
+        let mut latest = before;
+        for _ in 0..20 {
+            let now = revolution(&next(&mut stream).await);
+            assert!(now > latest, "{model:?}");
+            latest = now;
+        }
+        assert!(latest - before < 60, "{model:?}: {before} to {latest}");
+    }
+    let sensor = builder().connect(numbered(Model::Urg04lx).build()).await.unwrap();
+    assert_eq!(sensor.sensor_state().await.unwrap(), None);
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_stream_switches_no_laser_on_that_is_to_be_off() {
     let emulator = numbered(Model::Ust10lx).build();
     let sensor = builder().connect(emulator.clone()).await.unwrap();

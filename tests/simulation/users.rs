@@ -133,7 +133,7 @@ fn check_stamp(run: &Run, request: u64, scan: &Scan) {
     }
 }
 
-/// Requests single scans and the version, and often drops the request before it is
+/// Requests single scans, the version and the state, and often drops the request before it is
 /// answered.
 pub(crate) async fn requester(run: Run, sensor: Sensor, seed: u64) {
     let mut random = Random::new(seed);
@@ -147,6 +147,7 @@ pub(crate) async fn requester(run: Run, sensor: Sensor, seed: u64) {
             run.trace(format_args!("cancelled"));
         } else if random.once_in(4) {
             let _ = run.call("version", sensor.version()).await;
+            let _ = run.call("state", sensor.sensor_state()).await;
         } else if let Ok(scan) = run.call("scan", sensor.scan(window)).await {
             check(&run, window, &scan, &mut None);
         }

@@ -189,6 +189,10 @@ impl Service<'_> {
                 let _ = responder.send(known);
                 Ok(())
             }
+            Request::State(responder) => {
+                let outcome = Box::pin(session.state()).await;
+                Self::respond(responder, outcome)
+            }
             Request::Laser { on, responder } => {
                 let outcome = self.switch_laser(session, on, false).await;
                 Self::respond(responder, outcome)

@@ -43,7 +43,7 @@ use super::rarely::rarely;
 use super::schedule::StreamWish;
 use super::transport::{ReplyTimes, Transport};
 use crate::port::Port;
-use crate::protocol::scip2::Status;
+use crate::protocol::scip2::{State, Status};
 use crate::protocol::{Command, Protocol, Text};
 use crate::scan::Values;
 use crate::state::{Shared, VersionReply};
@@ -299,6 +299,14 @@ impl Session {
     /// copy of the latest reply, or `None` if it needs none now.
     pub(crate) fn copies_end(&mut self, window: Window) -> Option<Instant> {
         if self.scip2.is_some() { None } else { self.scip1.copies_end(window) }
+    }
+
+    /// Asks the sensor for its state, where the protocol has it.
+    pub(crate) async fn state(&mut self) -> Result<Option<State>, ExchangeError> {
+        match self.scip2() {
+            Some(mut scip2) => scip2.state().await.map(Some),
+            None => Ok(None),
+        }
     }
 
     /// Switches the laser, and checks whether the sensor measures.

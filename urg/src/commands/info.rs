@@ -4,17 +4,18 @@ use std::fmt::Write;
 
 use clap::ValueEnum;
 use serde_json::{Value, json};
+use tokio_scip::protocol::scip2::State;
 use tokio_scip::{BaudRate, Geometry, Version, Window};
 
 use crate::args::LinkArgs;
 use crate::delivery::Delivery;
-use crate::failure::Failure;
-use crate::format::json_line;
+use crate::failure::{Failure, chain};
+use crate::format::{json_line, time};
 use crate::output::notice::escaped;
 use crate::output::stdout::print;
 use crate::port::name::{PortArg, PortName};
 use crate::port::open::{open, proven_baud_rate};
-use crate::recording::contents::Contents;
+use crate::recording::contents::{Contents, Row};
 use crate::recording::span::TopicArgs;
 
 /// Show the identity and settings of a sensor
@@ -50,7 +51,7 @@ impl Info {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let mut port = self.port.required().await?;
         port.choose_topic(&self.topic)?;
-        let (version, geometry, baud_rate, rows) = match port.recorded() {
+        let (version, geometry, baud_rate, rows): (_, _, _, Vec<Row>) = match port.recorded() {
             Some(recorded) => {
                 let Contents { version, geometry, baud_rate, rows, .. } =
                     recorded.contents().await?;
@@ -62,7 +63,11 @@ impl Info {
                 let (version, geometry) = identity
                     .await
                     .map_err(|error: tokio_scip::Error| Failure::at(&port, &error))?;
-                (version, Some(geometry), Some(proven_baud_rate(&sensor).await), Vec::new())
+                let rows = match sensor.sensor_state().await {
+                    Ok(state) => state.map(|state| state_rows(&state).into()).unwrap_or_default(),
+                    Err(error) => vec![("state", Value::Null, chain(&error))],
+                };
+                (version, Some(geometry), Some(proven_baud_rate(&sensor).await), rows)
             }
         };
         let output = match self.format {
@@ -90,6 +95,29 @@ impl Info {
         };
         print(output).await
     }
+}
+
+/// Describes what a sensor of SCIP 2 says of itself now.
+fn state_rows(state: &State) -> [Row; 2] {
+    let laser = match state.laser_on {
+        Some(true) => "laser on",
+        Some(false) => "laser off",
+        None => "",
+    };
+    let (diagnosis, measuring) = (state.diagnosis.to_string(), state.measuring.to_string());
+    let mut words = vec![diagnosis.trim_end_matches('.'), &measuring, laser];
+    words.retain(|word| !word.is_empty());
+    let clock = state.clock.map(|ms| f64::from(ms) / 1000.0);
+    let data = json!({
+        "diagnosis": state.diagnosis,
+        "measuring": state.measuring,
+        "laser_on": state.laser_on,
+        "motor_speed": state.motor_speed,
+    });
+    let reading = clock.map_or("not told".to_owned(), |seconds| {
+        format!("{}, from the sensor's start or anew each 4:39:37", time::clock(seconds))
+    });
+    [("state", data, words.join(", ")), ("sensor_clock", json!(clock), reading)]
 }
 
 /// Baud rate, and why the port ignores it; `None` on USB and Ethernet.

@@ -23,7 +23,9 @@ use super::errors::{malformed, no_reply, not_confirmed, on_behalf_of};
 use super::line::Line;
 use super::{Acquired, Told};
 use crate::codec::FoundFrame;
-use crate::protocol::scip2::{Command, Content, Data, Labels, Request, Scan, Stamp, Status, Steps};
+use crate::protocol::scip2::{
+    self, Command, Content, Data, Labels, Request, Scan, Stamp, Status, Steps,
+};
 use crate::protocol::{MalformedError, Protocol, Text};
 use crate::scan::Values;
 use crate::state::{ParametersReply, VersionReply};
@@ -222,6 +224,15 @@ impl Scip2<'_> {
         let has_intensities = self.state.wants_intensities && parameters.has_intensities();
         self.state.data = if has_intensities { Data::Intensities } else { Data::Distances };
         Ok(ParametersReply { parameters, frame })
+    }
+
+    /// Asks for the sensor's state. The stream ends first: a sensor would send halves of scans (II).
+    pub(super) async fn state(&mut self) -> Result<scip2::State, ExchangeError> {
+        self.stop_stray().await?;
+        match self.ask_twice(Command::State).await?.content {
+            Content::State(state) => Ok(state),
+            _ => Err(self.no_data(Command::State)),
+        }
     }
 
     /// Asks for one step until there is an answer, and returns its status: a refusal while the sensor
