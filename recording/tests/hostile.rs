@@ -297,8 +297,13 @@ fn a_message_index_with_a_wrong_length_hides_no_chunk() {
 fn a_damaged_attachment_refuses_no_file() {
     // Its media type stands where a chunk has the name of its compression.
     let content = [&[0; 16][..], &text("12345678"), &text("text/yaml"), &[0; 8], &[0; 4]].concat();
-    let file = [MAGIC, &channel(), &of_kind(0x06, &content), &event(0).repeat(2), &end()].concat();
-    assert_eq!(read(&file), (vec![8 + channel().len() as u64], 2, false));
+    let attachment = of_kind(0x06, &content);
+    let head = [MAGIC, &channel(), &attachment, &event(0).repeat(2)].concat();
+    let first = 8 + channel().len() as u64;
+    assert_eq!(read(&[&head[..], &end()].concat()), (vec![first], 2, false));
+    // Nor does it make a file with chunks of one without.
+    let file = [&head[..], &[0; 5], &event(0).repeat(3), &end()].concat();
+    assert_eq!(read(&file), (vec![first, head.len() as u64], 5, false));
 }
 
 #[test]

@@ -7,7 +7,8 @@
 use std::ops::Range;
 
 use super::{
-    CHUNK_HEAD, Fields, MAX_CHUNK_BYTES, MAX_RECORD_BYTES, MessageHeader, RECORD_HEAD, kind,
+    CHUNK_HEAD, Compression, Fields, MAX_CHUNK_BYTES, MAX_RECORD_BYTES, MessageHeader, RECORD_HEAD,
+    kind,
 };
 
 /// Longest name of a compression.
@@ -130,7 +131,8 @@ pub(super) fn measure(bytes: &[u8], after: After) -> Result<Extent, Unmeasured> 
         return Err(Unmeasured::Needs(needed));
     }
     let chunk = chunk_head(bytes);
-    let has_name = chunk.as_ref().is_some_and(|chunk| !chunk.compression.contains('\\'));
+    let has_name =
+        chunk.as_ref().is_some_and(|chunk| Compression::named(&chunk.compression).is_some());
     let is_wrong = match kind {
         kind::CHUNK => chunk.is_none(),
         kind::MESSAGE_INDEX => (fields - RECORD_HEAD as u64) % 16 != 6,

@@ -286,7 +286,6 @@ impl Sections {
 
     /// Reads the chunk here, whose record has `length` bytes if the file was not cut off.
     fn chunk(&mut self, length: usize) -> Result<Option<Section>, RecordingError> {
-        self.has_chunks = Some(true);
         let bytes = self.window.peek(length)?;
         self.used = length.min(bytes.len());
         let found = self.used;
@@ -299,6 +298,7 @@ impl Sections {
             self.decompress(&head, is_whole)?;
             0..self.decompressed.len()
         };
+        self.has_chunks = Some(true);
         self.chunk_bytes.add(
             &head.compression,
             found - head.records.start.min(found),
