@@ -145,8 +145,8 @@ impl Schedules {
         self.all.iter_mut().for_each(|schedule| schedule.is_streamed = false);
     }
 
-    /// Takes a poll for each schedule that a scan of the stream is for now. The scans come `period`
-    /// apart. Grid points without a scan do not count as skipped: the sensor sends when its motor has
+    /// Takes a poll for each schedule that a scan of the stream is for, which was due at `now`. The
+    /// scans come `period` apart. Grid points without a scan do not count as skipped: the sensor sends when its motor has
     /// turned.
     pub(crate) fn take_streamed(&mut self, now: Instant, period: Duration) -> Vec<DuePoll> {
         let streamed = self.all.iter_mut().filter(|schedule| schedule.is_streamed);

@@ -29,6 +29,24 @@ fn are_consecutive(revolutions: &[u32]) -> bool {
     revolutions.windows(2).all(|pair| pair[1] == pair[0] + 1)
 }
 
+/// As after a pause of the host: some scans come late, and the next ones at once after them.
+#[tokio::test(start_paused = true)]
+async fn the_sensors_own_rate_has_each_scan_even_if_several_come_at_once() {
+    // The emulated sensor itself drops what is later than 200 ms.
+    let late = || Fault::Late(Duration::from_millis(190));
+    let models = [(Model::Ust10lx, 40.0), (Model::Utm30lx, 40.0), (Model::Urg04lxUg01, 10.0)];
+    for (model, hz) in models {
+        let emulator = numbered(model).build();
+        let sensor = builder().depth(512).connect(emulator.clone()).await.unwrap();
+        let mut stream = sensor.scans(Window::DETECTION, Rate::hz(hz)).await.unwrap();
+        revolutions(&mut stream, 100).await;
+        emulator.set_faults(Faults::none().up_to(0.02, late()).seed(1));
+        let all = revolutions(&mut stream, 1000).await;
+        let gaps: Vec<_> = all.windows(2).filter(|pair| pair[1] != pair[0] + 1).collect();
+        assert_eq!(gaps, [[0; 2]; 0], "{model:?}");
+    }
+}
+
 #[tokio::test(start_paused = true)]
 async fn all_windows_and_rates_share_one_stream() {
     let emulator = numbered(Model::Ust10lx).build();

@@ -3,6 +3,7 @@
 
 use std::future::poll_fn;
 use std::task::Poll;
+use std::time::Duration;
 
 use tokio::task::coop::consume_budget;
 use tokio::time::Instant;
@@ -51,15 +52,18 @@ impl Service<'_> {
         Ok(if is_due { None } else { Some(true) })
     }
 
-    fn take_streamed(&mut self) -> Vec<DuePoll> {
+    /// Takes the polls that a scan is for, which came this late.
+    fn take_streamed(&mut self, lateness: Duration) -> Vec<DuePoll> {
         let turns = u32::from(self.streamed.unwrap_or(0)) + 1;
-        self.schedules.take_streamed(Instant::now(), self.scan_time * turns)
+        let now = Instant::now();
+        let due = now.checked_sub(lateness).unwrap_or(now);
+        self.schedules.take_streamed(due, self.scan_time * turns)
     }
 
     /// Ends the polls of the stream that are due now with an error.
     fn fail_streamed(&mut self, error: &ErrorKind) -> Result<(), Stop> {
         self.shared.counters.fail(self.shared.link.error(error.clone()));
-        for poll in self.take_streamed() {
+        for poll in self.take_streamed(Duration::ZERO) {
             self.shared.counters.count_poll();
             self.fail(poll, ExchangeError::Command(error.clone()), 0)?;
         }
@@ -111,7 +115,8 @@ impl Service<'_> {
                     continue;
                 }
             };
-            for poll in self.take_streamed() {
+            // After a pause of the host several come at once, each for a point of its own.
+            for poll in self.take_streamed(streamed.lateness()) {
                 self.shared.counters.count_poll();
                 // It may have been sent before the stream had this window.
                 if let Some(acquired) = streamed.cut(poll.window, &self.geometry) {

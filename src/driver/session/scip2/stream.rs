@@ -327,6 +327,12 @@ fn between(one: Stamp, later: Stamp) -> Duration {
 }
 
 impl Streamed {
+    /// How late it came, as far as the sensor's clock tells.
+    pub(crate) fn lateness(&self) -> Duration {
+        let told = self.acquired.told.as_ref();
+        told.and_then(|told| told.revolution.lateness).unwrap_or_default()
+    }
+
     /// Part of the scan in `window`, if it holds that.
     pub(crate) fn cut(&self, window: Window, geometry: &Geometry) -> Option<Acquired> {
         if !self.window.holds(&window) {
