@@ -145,9 +145,9 @@ impl Schedules {
         self.all.iter_mut().for_each(|schedule| schedule.is_streamed = false);
     }
 
-    /// Takes a poll for each schedule that a scan of the stream is for, which was due at `now`. The
-    /// scans come `period` apart. Grid points without a scan do not count as skipped: the sensor sends when its motor has
-    /// turned.
+    /// Takes a poll of each schedule that is due for a scan of the stream, which came at `now` or would
+    /// have come then without a delay. The scans come `period` apart. Grid points without a scan do not
+    /// count as skipped: the sensor sends when its motor has turned.
     pub(crate) fn take_streamed(&mut self, now: Instant, period: Duration) -> Vec<DuePoll> {
         let streamed = self.all.iter_mut().filter(|schedule| schedule.is_streamed);
         // A scan that is a little early is for the point that follows. Otherwise a motor that turns

@@ -100,8 +100,8 @@ impl Sensor {
     /// Asks the sensor for its state in SCIP 2 (`II`): laser, motor, clock, and in its own words whether
     /// it works. `None` in SCIP 1.1, where [`Version::status`] is all that a sensor tells.
     ///
-    /// A stream of scans ends before, because some models would send halves of scans, and goes on
-    /// afterwards: the scans in between are missing.
+    /// If the sensor is sending a stream, the driver stops it, asks, and starts it again: a UTM that is
+    /// asked during a stream sends only half of each scan. You lose the scans in between.
     pub async fn sensor_state(&self) -> Result<Option<State>, Error> {
         self.client.ask(Request::State).await
     }

@@ -158,9 +158,9 @@ impl Faults {
         self
     }
 
-    /// Adds a fault that each reply has with this probability, 0 to 1. The times, lengths and
-    /// positions of `Late`, `Pause`, `Noise`, `Reset` and `HangUp` are drawn for each reply, from 0 to
-    /// those of `most`. `ClockJump` goes forward or back. Other faults stay as they are.
+    /// Adds a fault that each reply has with this probability, 0 to 1. For `Late`, `Pause`, `Noise`,
+    /// `Reset`, `HangUp` and `ClockJump`, each reply draws its own time, length or position, between
+    /// zero and the one in `most`; a clock jumps forward or back. Any other fault is added unchanged.
     #[must_use]
     pub fn up_to(mut self, probability: f64, most: Fault) -> Self {
         self.random.push((probability, Details::UpTo(most)));

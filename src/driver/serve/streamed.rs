@@ -52,7 +52,7 @@ impl Service<'_> {
         Ok(if is_due { None } else { Some(true) })
     }
 
-    /// Takes the polls that a scan is for, which came this late.
+    /// Takes the polls that are due for a scan, which arrived this late.
     fn take_streamed(&mut self, lateness: Duration) -> Vec<DuePoll> {
         let turns = u32::from(self.streamed.unwrap_or(0)) + 1;
         let now = Instant::now();
@@ -115,7 +115,7 @@ impl Service<'_> {
                     continue;
                 }
             };
-            // After a pause of the host several come at once, each for a point of its own.
+            // After a pause of the host several arrive at once, and each belongs to its own poll.
             for poll in self.take_streamed(streamed.lateness()) {
                 self.shared.counters.count_poll();
                 // It may have been sent before the stream had this window.

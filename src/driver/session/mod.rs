@@ -11,7 +11,7 @@
 //! | [`set_baud_rate`](Session::set_baud_rate) | the sensor answers at the new baud rate |
 //! | [`probe`](Session::probe) | the sensor answers, and no older reply can follow |
 //! | [`acquire`](Session::acquire) | the values answer this request |
-//! | [`state`](Session::state) | the sensor's words answer this request |
+//! | [`state`](Session::state) | the reply answers this request |
 //!
 //! Below it, a protocol knows its commands, tells replies apart, and judges the bytes that nobody
 //! asked for.

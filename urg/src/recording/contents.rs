@@ -1,6 +1,7 @@
 //! Contents of a recording for `urg info`: time span, number of scans, what was left out, gaps,
-//! sources, the clock of the sensor, and changes of the wall clock. You can pass any of these times to `--range`: they count from the first scan
-//! on the steady clock. Stamps use the wall clock, which may jump.
+//! sources, the sensor's clock, and changes of the wall clock. You can pass any of these times to
+//! `--range`: they count from the first scan on the steady clock. Stamps use the wall clock, which may
+//! jump.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -145,8 +146,8 @@ fn left_out_row(counts: &[LeftOut]) -> Row {
     ("left_out", json!(counts), text)
 }
 
-/// Describes what did not arrive. `lost` are the scans that the sensor's clock shows to be missing, even
-/// without an error.
+/// Describes what did not arrive. `lost` is the number of scans that are missing by the sensor's clock,
+/// with or without an error.
 fn losses_row(recorded: &RecordedScans, lost: u64) -> Row {
     let failed = recorded.failed_polls();
     if lost.max(failed) == 0 && recorded.version() == Version::default() {

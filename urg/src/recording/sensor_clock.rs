@@ -1,5 +1,5 @@
-//! [`SensorClock`]: how fast the clock of a recorded sensor runs, whether it has jumped, and which scans
-//! of a stream it shows to be missing.
+//! [`SensorClock`]: how fast the clock of a recorded sensor runs, how often it has jumped, and how many
+//! scans are missing by it.
 
 use std::time::Duration;
 
@@ -9,11 +9,12 @@ use crate::format::counted;
 
 /// The clock of SCIP 2 counts milliseconds, with 24 bits.
 const WRAP: f64 = (1 << 24) as f64 / 1000.0;
-/// A scan that is this many seconds off, and by this part of the time since the latest one that was
-/// not, does not fit: it is late, or the clock has jumped. A poll may bring a scan of a revolution ago.
+/// Largest difference between the two clocks from one scan to the next: this many seconds, and this part
+/// of the time between them. If there is more, the scan is late or the clock has jumped. (Even without
+/// either, a poll may return a scan that is one revolution old.)
 const TOLERANCE: f64 = 0.25;
 const LARGEST_DRIFT: f64 = 0.01;
-/// Number of scans in a row, all off by the same, that mean a jump.
+/// Number of scans in a row with the same difference that mean a jump.
 const JUMP: u32 = 20;
 /// Longest time in seconds between two scans that counts as lost scans. A longer one is a gap.
 const LONGEST_LOSS: f64 = 1.0;
@@ -37,7 +38,7 @@ pub(super) struct SensorClock {
     jumps: u64,
     /// Clock at the previous scan.
     previous: Option<f64>,
-    /// Number of scans that the sensor has measured between others, and the file does not have.
+    /// Number of scans that the sensor has sent between two recorded ones.
     pub(super) lost: u64,
 }
 
@@ -51,11 +52,11 @@ struct Reading {
     ahead: f64,
 }
 
-/// Drift over a time in which the clock did not jump.
+/// How fast the clock ran between two jumps.
 #[derive(Debug, Clone, Copy, Default)]
 struct Drift {
     seconds: f64,
-    /// Seconds by which the clock gains in one second.
+    /// Seconds gained per second; negative if the clock is slow.
     rate: f64,
 }
 
@@ -113,7 +114,7 @@ impl SensorClock {
         self.earliest.push(point);
     }
 
-    /// Drift over the longest time without a jump.
+    /// Drift during the longest time without a jump.
     fn drift(&self) -> Drift {
         let (Some(first), Some(last)) = (self.earliest.first(), self.earliest.last()) else {
             return self.longest;
@@ -122,7 +123,7 @@ impl SensorClock {
         if seconds <= self.longest.seconds {
             return self.longest;
         }
-        // Where most scans are below one line, it is the clock's.
+        // The longest edge of the hull bounds the arrivals for the longest time.
         let edges = self.earliest.iter().zip(self.earliest.iter().skip(1));
         let longest = edges.max_by(|one, other| length(*one).total_cmp(&length(*other)));
         Drift { seconds, rate: longest.map_or(0.0, |(begin, end)| slope(*begin, *end)) }

@@ -226,7 +226,8 @@ impl Scip2<'_> {
         Ok(ParametersReply { parameters, frame })
     }
 
-    /// Asks for the sensor's state. The stream ends first: a sensor would send halves of scans (II).
+    /// Asks for the sensor's state (`II`). Ends the stream first: asked during one, a UTM sends only half
+    /// of each scan.
     pub(super) async fn state(&mut self) -> Result<scip2::State, ExchangeError> {
         self.stop_stray().await?;
         match self.ask_twice(Command::State).await?.content {
