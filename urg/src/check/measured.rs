@@ -9,7 +9,7 @@ use tokio_scip::stats::ScheduleStats;
 use tokio_scip::{BaudRate, Error, Geometry, Rate, Scan, Sensor, Stats, Window};
 
 use super::finding::{Finding, Verdict};
-use crate::format::listed;
+use crate::format::{listed, pace};
 use crate::stream::jitter::Jitter;
 use crate::stream::rate_watch::schedule;
 
@@ -196,9 +196,7 @@ impl Measured {
         let mut text =
             format!("{speed:.2} rpm; scans arrive {mean:.1} ms late, {most:.1} ms at most");
         if let Some(ppm) = motor.clock_drift_ppm {
-            let pace = if ppm < 0 { "slow" } else { "fast" };
-            let percent = f64::from(ppm.unsigned_abs()) / 1e4;
-            let _ = write!(text, "; the sensor's clock is {percent:.3} % {pace}");
+            let _ = write!(text, "; the sensor's clock is {}", pace(ppm.into()));
         }
         if motor.jumps > 0 {
             let jumps = motor.jumps;

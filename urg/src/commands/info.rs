@@ -20,9 +20,9 @@ use crate::recording::span::TopicArgs;
 
 /// Show the identity and settings of a sensor
 ///
-/// Finds the sensor at any baud rate, and its protocol. It cannot show whether the laser
-/// is on: SCIP 1.1 has no request for that. For a recording you also see the number of
-/// scans and the gaps.
+/// Finds the sensor at any baud rate, and its protocol. In SCIP 2 it also shows the sensor's
+/// clock and state, and whether the laser is on: SCIP 1.1 has no request for these. For a
+/// recording you also see the number of scans and the gaps.
 #[derive(Debug, clap::Args)]
 #[command(
     // It shows no scan.
@@ -115,9 +115,9 @@ fn state_rows(state: &State) -> [Row; 2] {
         "motor_speed": state.motor_speed,
     });
     let reading = clock.map_or("not told".to_owned(), |seconds| {
-        format!("{}, from the sensor's start or anew each 4:39:37", time::clock(seconds))
+        format!("{} (starts at 0 with the sensor, and again every 4:39:37)", time::clock(seconds))
     });
-    [("state", data, words.join(", ")), ("sensor_clock", json!(clock), reading)]
+    [("state", data, words.join(", ")), ("sensor_time", json!(clock), reading)]
 }
 
 /// Baud rate, and why the port ignores it; `None` on USB and Ethernet.

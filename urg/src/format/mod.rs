@@ -16,6 +16,12 @@ pub(crate) fn listed(counts: &[(u64, &str)]) -> String {
     counts.map(|(count, what)| format!("{count} {what}")).collect::<Vec<_>>().join(", ")
 }
 
+/// Formats how much faster than the computer's a clock runs, in parts per million.
+pub(crate) fn pace(ppm: f64) -> String {
+    let pace = if ppm < 0.0 { "slow" } else { "fast" };
+    format!("{:.2} % {pace}", ppm.abs() / 1e4)
+}
+
 /// Formats a count with its noun, such as `1 scan` or `2 scans`.
 pub(crate) fn counted(count: u64, noun: &str) -> String {
     let ending = if count == 1 { "" } else { "s" };

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use crate::format::counted;
+use crate::format::{counted, pace};
 
 /// The clock of SCIP 2 counts milliseconds, with 24 bits.
 const WRAP: f64 = (1 << 24) as f64 / 1000.0;
@@ -135,10 +135,7 @@ impl SensorClock {
         let (drift, jumps) = (self.drift(), self.jumps);
         let ppm = (drift.seconds >= SHORTEST).then(|| (drift.rate * 1e6).round());
         let mut text = match ppm {
-            Some(ppm) => {
-                let pace = if ppm < 0.0 { "slow" } else { "fast" };
-                format!("{:.2} % {pace}", ppm.abs() / 1e4)
-            }
+            Some(ppm) => pace(ppm),
             None => format!("its drift needs {SHORTEST:.0} s without a jump"),
         };
         if jumps > 0 {
