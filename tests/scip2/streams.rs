@@ -47,6 +47,23 @@ async fn the_sensors_own_rate_has_each_scan_even_if_several_come_at_once() {
     }
 }
 
+/// The host is busiest when a program starts, before the sensor's clock is known.
+#[tokio::test(start_paused = true)]
+async fn a_stream_begins_with_each_scan_even_if_several_come_at_once() {
+    for (model, hz) in [(Model::Ust10lx, 40.0), (Model::Urg04lxUg01, 10.0)] {
+        for seed in 0..50 {
+            let emulator = numbered(model).build();
+            let sensor = builder().depth(512).connect(emulator.clone()).await.unwrap();
+            let mut stream = sensor.scans(Window::DETECTION, Rate::hz(hz)).await.unwrap();
+            let first = revolutions(&mut stream, 1).await;
+            let late = Fault::Late(Duration::from_millis(190));
+            emulator.set_faults(Faults::none().up_to(0.1, late).seed(seed));
+            let all = [first, revolutions(&mut stream, 40).await].concat();
+            assert!(are_consecutive(&all), "{model:?}, seed {seed}: {all:?}");
+        }
+    }
+}
+
 #[tokio::test(start_paused = true)]
 async fn all_windows_and_rates_share_one_stream() {
     let emulator = numbered(Model::Ust10lx).build();
