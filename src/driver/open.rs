@@ -9,14 +9,12 @@ use tokio::time::{Instant, sleep, sleep_until, timeout};
 use super::config::Config;
 use super::failure::{ExchangeError, LinkError};
 use super::laser::Laser;
-use super::session::{Identity, Leftovers, MotorSpeed, Session};
+use super::session::{Identity, Leftovers, Session};
 use crate::port::{AnyConnect, Port};
 use crate::protocol::Text;
 use crate::state::Shared;
-use crate::{BaudRate, Error, ErrorChain, ErrorKind};
+use crate::{BaudRate, Error, ErrorChain, ErrorKind, Geometry};
 
-/// One revolution of a URG's motor.
-const REVOLUTION: Duration = Duration::from_millis(100);
 /// Number of candidates to try before backing off. No machine has as many ports, but a
 /// [`Connect`](crate::port::Connect) may always promise another one.
 const MAX_CANDIDATES: usize = 64;
@@ -45,9 +43,8 @@ pub(crate) struct Opener {
     serial_number: Option<Text>,
     leftovers: Leftovers,
     opened: bool,
-    /// Confirmed motor speed.
-    motor_speed: Option<MotorSpeed>,
-    scan_time: Duration,
+    /// What the sensor measures, once that is confirmed.
+    geometry: Option<Geometry>,
 }
 
 impl Opener {
@@ -67,8 +64,7 @@ impl Opener {
             identity: config.serial_number.clone().or(asked),
             leftovers: Leftovers::unknown(),
             opened: false,
-            motor_speed: None,
-            scan_time: REVOLUTION,
+            geometry: None,
             connect,
             config,
             shared,
@@ -84,9 +80,8 @@ impl Opener {
         self.serial_number.clone().unwrap_or_default()
     }
 
-    /// Time of one revolution of the motor, from the sensor's version.
-    pub(crate) fn scan_time(&self) -> Duration {
-        self.scan_time
+    pub(crate) fn geometry(&self) -> Geometry {
+        self.geometry.unwrap_or(Geometry::URG_04LX)
     }
 
     /// Opens the port and finds the sensor. If there are several ports, tries one after
@@ -190,7 +185,7 @@ impl Opener {
     /// Accepts the sensor, now that it has the service's settings. From now on expects no
     /// other sensor.
     fn accept(&mut self, identity: Identity) {
-        let Identity { reply, is_serial_number_confirmed, motor_speed, geometry } = identity;
+        let Identity { reply, is_serial_number_confirmed, geometry } = identity;
         let now = &reply.version.serial_number;
         if is_serial_number_confirmed && !self.config.any_sensor {
             self.identity.get_or_insert_with(|| now.clone());
@@ -200,17 +195,11 @@ impl Opener {
         if let Some(before) = before.filter(|_| is_another) {
             tracing::warn!(%before, %now, "another sensor has taken its place");
         }
-        // A flipped bit changes the motor speed of no sensor.
-        if motor_speed.is_some() || is_another {
-            self.motor_speed = motor_speed;
-            self.scan_time = match motor_speed {
-                Some(MotorSpeed::RevolutionsPerMinute(speed)) => {
-                    Duration::from_secs(60) / u32::from(speed.max(1))
-                }
-                Some(MotorSpeed::Untold) | None => REVOLUTION,
-            };
+        // A flipped bit changes the geometry of no sensor.
+        if geometry.is_some() || is_another {
+            self.geometry = geometry;
         }
-        self.shared.link.set_identity(reply, geometry);
+        self.shared.link.set_identity(reply, self.geometry());
         if let Some(hints) = self.connect.hints() {
             hints.found();
         }
@@ -231,7 +220,7 @@ impl Opener {
 
     /// Identifies the sensor, and fails if it is another one than expected.
     async fn identify(&mut self, session: &mut Session) -> Result<Identity, ExchangeError> {
-        let identity = session.identify(self.identity.as_ref(), self.motor_speed).await?;
+        let identity = session.identify(self.identity.as_ref(), self.geometry).await?;
         let found = &identity.reply.version.serial_number;
         if let Some(expected) = self.identity.as_ref().filter(|expected| *expected != found) {
             let (expected, found) = (expected.clone(), found.clone());

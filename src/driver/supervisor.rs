@@ -24,7 +24,7 @@ use super::session::Session;
 use super::transport::Timer;
 use crate::port::AnyConnect;
 use crate::state::{Shared, State};
-use crate::{Error, ErrorChain, ErrorKind, Geometry, Operation};
+use crate::{Error, ErrorChain, ErrorKind, Operation};
 
 /// Runs the whole driver: opens a session, serves it, and replaces it when it is lost.
 pub(crate) struct Supervisor {
@@ -128,9 +128,8 @@ impl Supervisor {
         let baud_rate = session.baud_rate();
         let serial_number = self.opener.serial_number();
         self.shared.enter(State::Connected { baud_rate, streaming: false, serial_number });
-        let scan_time = self.opener.scan_time();
-        // The sensor was identified when it was found.
-        let geometry = self.shared.link.geometry().unwrap_or(Geometry::URG_04LX);
+        let geometry = self.opener.geometry();
+        let scan_time = geometry.revolution();
         let probe_interval = self.config.idle_probe.interval(session.can_die_silently());
         let reconnects = self.shared.counters.stats().reconnects;
         let (laser, baud_rate) = self.opener.settings();

@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
-use super::{Codes, ErrorCode, Measurement, Protocol};
+use super::{Codes, ErrorCode, Measurement, Protocol, Specification};
 
 /// Half micro-degrees in a revolution.
 const HALVES: i64 = 720_000_000;
@@ -43,6 +43,23 @@ impl Geometry {
         motor_speed: 600,
         codes: None,
     };
+
+    /// Geometry of a sensor of SCIP 1.1: what its firmware line tells, and a URG-04LX's for the rest.
+    pub(crate) fn in_scip1(told: &Specification) -> Self {
+        let usual = Self::URG_04LX;
+        let (least, most) = usual.distances().into_inner();
+        let steps = told.steps.clone().filter(|steps| steps.end() <= usual.answered_steps().end());
+        let (first_step, last_step) = steps.unwrap_or(usual.steps()).into_inner();
+        // Less than 20 mm is an error code. The text has 4,094 mm where firmware lines have 4,095, which
+        // no sensor has sent.
+        let range =
+            told.range.clone().map(|range| (u32::from(*range.start()), u32::from(*range.end())));
+        let range = range.filter(|(from, to)| *from <= most && *to >= least);
+        let (from, to) = range.unwrap_or((least, most));
+        let (min_distance, max_distance) = (from.max(least), to.min(most));
+        let motor_speed = told.motor_speed.unwrap_or(usual.motor_speed);
+        Self { first_step, last_step, min_distance, max_distance, motor_speed, ..usual }
+    }
 
     /// Protocol that the sensor speaks.
     pub const fn protocol(&self) -> Protocol {

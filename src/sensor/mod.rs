@@ -82,8 +82,9 @@ impl Sensor {
         }
     }
 
-    /// Directions and distances that the sensor measures, as the driver learned them when it opened
-    /// the link. Waits for a link if there is none.
+    /// Directions and distances that the sensor measures, as it told them when the driver opened the
+    /// link (`PP`; in SCIP 1.1 the bracket in the firmware line, and the protocol text for what that
+    /// lacks). Waits for a link if there is none.
     pub async fn geometry(&self) -> Result<Geometry, Error> {
         match self.client.shared().link.geometry() {
             Some(geometry) => Ok(geometry),

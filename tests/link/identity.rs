@@ -8,7 +8,7 @@ use crate::common::hooked::{Hooked, Hooks};
 use crate::common::random::Random;
 use crate::common::{ConnectFn, builder, truthful};
 use tokio::time::Instant;
-use tokio_scip::{BaudRate, Error, ErrorKind, Rate, State, Window};
+use tokio_scip::{BaudRate, Error, ErrorKind, Geometry, Rate, State, Window};
 use urg_emulator::{Emulator, Fault, Faults, Pace};
 
 #[tokio::test(start_paused = true)]
@@ -256,17 +256,39 @@ async fn a_scan_knows_the_stated_revolution() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn no_flipped_bit_changes_the_motor_speed() {
+async fn a_sensor_measures_what_its_firmware_line_tells() {
+    let usual = Geometry::URG_04LX;
+    let told = [
+        ("(60-4000[mm],180[deg],128-640[step],600[rpm])", 128..=640, 60..=4000),
+        ("(20-5600[mm],270[deg],0-768[step])", 0..=768, 20..=4094),
+        ("(0-10[mm],240[deg],0-1080[step])", usual.steps(), usual.distances()),
+        ("", usual.steps(), usual.distances()),
+    ];
+    for (bracket, steps, distances) in told {
+        let lines = [format!("FIRM:3.3.00,08/04/16{bracket}"), "SERI:H0713090".to_owned()];
+        let sensor = builder().connect(truthful().version_lines(lines).build()).await.unwrap();
+        let geometry = sensor.geometry().await.unwrap();
+        assert_eq!((geometry.steps(), geometry.distances()), (steps, distances), "{bracket}");
+        let scan = sensor.scan(Window::DETECTION).await.unwrap();
+        let window = scan.window();
+        assert_eq!((*scan.geometry(), window.start()..=window.end()), (geometry, geometry.steps()));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn no_flipped_bit_changes_the_geometry() {
     let firmware = "FIRM:3.3.00,08/04/16(20-4095[mm],240[deg],44-725[step],600[rpm])";
     let lines = [firmware, "SERI:H0713090"];
     let speed = "V\n0\n".len() + firmware.find("600[").unwrap();
+    let bracket = "V\n0\n".len() + firmware.find('(').unwrap();
     for seed in 0..300 {
         let mut random = Random::new(seed);
-        // The bit is in one of the first three replies after the fence, mostly in the speed.
+        // The bit is in one of the first three replies after the fence, mostly in the bracket.
         let mut flip = || {
-            let at = match random.once_in(3) {
-                true => random.below(85) as usize,
-                false => speed + random.below(3) as usize,
+            let at = match random.below(3) {
+                0 => random.below(85) as usize,
+                1 => bracket + random.below(45) as usize,
+                _ => speed + random.below(3) as usize,
             };
             let bit = 1 << random.below(8);
             Faults::none().at(1 + random.below(3), Fault::Flip(at, bit))
@@ -280,6 +302,7 @@ async fn no_flipped_bit_changes_the_motor_speed() {
                     break scan;
                 }
             };
+            assert_eq!(*scan.geometry(), Geometry::URG_04LX, "seed {seed}");
             assert_eq!(scan.scan_time(), Duration::from_millis(100), "seed {seed}");
             emulator.unplug();
             emulator.set_faults(flip());

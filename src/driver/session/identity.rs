@@ -1,29 +1,33 @@
 //! Identifies the sensor. No checksum protects a reply to `V`, and one of `VV` does not see every
-//! bit: one flipped bit must neither reject a sensor, nor become the expected number, nor move the
-//! times of a session.
+//! bit: one flipped bit must neither reject a sensor, nor become the expected number, nor change the
+//! directions or times of a session.
 
 use std::sync::Arc;
 
 use super::super::failure::ExchangeError;
-use super::{Identity, MotorSpeed, Session};
+use super::{Identity, Session};
 use crate::Geometry;
-use crate::protocol::scip2::Parameters;
-use crate::protocol::{Text, Version};
+use crate::protocol::{Specification, Text};
 use crate::state::VersionReply;
 
 /// Number of times to ask a sensor for its version until two replies agree. If no two do, the last
-/// serial number counts, and no motor speed.
+/// serial number counts, and no geometry.
 const TRIES: usize = 4;
-/// Speed of almost all motors. A flipped bit in another speed hardly ever makes this one.
-const NOMINAL_SPEED: MotorSpeed = MotorSpeed::RevolutionsPerMinute(600);
+/// Bracket of almost all firmware lines. A flipped bit in another one hardly ever makes this one.
+const USUAL: Specification = Specification {
+    range: Some(20..=4095),
+    aperture: Some(240),
+    steps: Some(44..=725),
+    motor_speed: Some(600),
+};
 
 impl Session {
-    /// Reads the version until its serial number and motor speed are the expected ones, or the same
-    /// in two replies. One reply is enough on a port that delivers all bytes intact.
+    /// Reads the version until its serial number and geometry are the expected ones, or the same in
+    /// two replies. One reply is enough on a port that delivers all bytes intact.
     pub(crate) async fn identify(
         &mut self,
         expected_number: Option<&Text>,
-        expected_speed: Option<MotorSpeed>,
+        expected_geometry: Option<Geometry>,
     ) -> Result<Identity, ExchangeError> {
         let enough = if self.delivers_intact() { 1 } else { 2 };
         let told = match self.scip2() {
@@ -31,21 +35,19 @@ impl Session {
             None => None,
         };
         let parameters = told.map(Arc::new);
-        let told = parameters.as_ref().map(|reply| &reply.parameters);
-        let geometry = told.map_or(Geometry::URG_04LX, Parameters::geometry);
-        let told = told.map(|told| MotorSpeed::RevolutionsPerMinute(told.motor_speed));
+        let told = parameters.as_ref().map(|reply| reply.parameters.geometry());
         let mut replies = Vec::new();
         loop {
             let latest = self.version().await?;
             replies.push(latest.clone());
             let confirmed = find_number(&replies, enough, expected_number);
-            let motor_speed = told.or_else(|| find_speed(&replies, enough, expected_speed));
-            if confirmed.is_some() && motor_speed.is_some() || replies.len() == TRIES {
+            let geometry = told.or_else(|| find_geometry(&replies, enough, expected_geometry));
+            if confirmed.is_some() && geometry.is_some() || replies.len() == TRIES {
                 let reply = confirmed.cloned();
                 let is_serial_number_confirmed =
                     reply.as_ref().is_some_and(|reply| !reply.version.serial_number.is_empty());
                 let reply = VersionReply { parameters, ..reply.unwrap_or(latest) };
-                return Ok(Identity { reply, is_serial_number_confirmed, motor_speed, geometry });
+                return Ok(Identity { reply, is_serial_number_confirmed, geometry });
             }
         }
     }
@@ -75,20 +77,18 @@ fn find_number<'a>(
     })
 }
 
-/// Finds the motor speed that is the expected one, the nominal one, or the same in `enough` replies.
-fn find_speed(
+/// Finds the geometry that is the expected one, the usual one, or the same in `enough` replies.
+fn find_geometry(
     replies: &[VersionReply],
     enough: usize,
-    expected: Option<MotorSpeed>,
-) -> Option<MotorSpeed> {
-    let speeds = || replies.iter().map(|reply| motor_speed(&reply.version));
-    speeds().find(|speed| {
-        let same = speeds().filter(|other| other == speed);
-        *speed == NOMINAL_SPEED || expected == Some(*speed) || same.count() >= enough
-    })
-}
-
-fn motor_speed(version: &Version) -> MotorSpeed {
-    let speed = version.specification.as_ref().and_then(|specification| specification.motor_speed);
-    speed.map_or(MotorSpeed::Untold, MotorSpeed::RevolutionsPerMinute)
+    expected: Option<Geometry>,
+) -> Option<Geometry> {
+    // Older firmware has no bracket.
+    let brackets =
+        || replies.iter().map(|reply| reply.version.specification.clone().unwrap_or_default());
+    let found = brackets().find(|bracket| {
+        let same = brackets().filter(|other| other == bracket);
+        *bracket == USUAL || expected == Some(Geometry::in_scip1(bracket)) || same.count() >= enough
+    });
+    found.as_ref().map(Geometry::in_scip1)
 }

@@ -88,17 +88,8 @@ pub(crate) struct Identity {
     pub(crate) reply: VersionReply,
     /// True if the serial number is not empty, and was known or is the same in two replies.
     pub(crate) is_serial_number_confirmed: bool,
-    /// Motor speed, if it was known or is the same in two replies.
-    pub(crate) motor_speed: Option<MotorSpeed>,
-    pub(crate) geometry: Geometry,
-}
-
-/// Motor speed of a sensor, as it tells.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum MotorSpeed {
-    RevolutionsPerMinute(u16),
-    /// Older firmware does not tell it.
-    Untold,
+    /// What it measures, if that was known or is the same in two replies.
+    pub(crate) geometry: Option<Geometry>,
 }
 
 /// What a session leaves for the next one.
