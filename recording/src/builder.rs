@@ -6,7 +6,6 @@ use std::time::Duration;
 
 use super::file::RecordingFile;
 use super::mcap::Compression;
-use super::output::Output;
 use super::parts::{Limits, further_part, next_path};
 use super::queue::{Queue, QueueSettings};
 use super::recorder::Recorder;
@@ -213,9 +212,7 @@ impl RecorderBuilder {
     /// The same as for [`write_to`](Self::write_to).
     pub fn record_into(self, file: RecordingFile) -> Result<Recorder, RecordingError> {
         self.check()?;
-        let (current, first) = (file.path().to_owned(), file.first().map(Path::to_owned));
-        let out = file.begin().map_err(RecordingError::write)?;
-        Queue::into_file(out, &current, first, self.settings).map(Recorder::new)
+        Queue::into_file(file, self.settings).map(Recorder::new)
     }
 
     /// Records into any writer, such as a pipe. Makes no further files: after 150,000 chunks,
@@ -228,8 +225,8 @@ impl RecorderBuilder {
     /// thread can be started.
     pub fn write_to(self, out: impl Write + Send + 'static) -> Result<Recorder, RecordingError> {
         self.check()?;
-        let out = Output { writer: Box::new(out), durable: None };
-        Queue::into_file(out, Path::new(""), None, self.settings).map(Recorder::new)
+        let (out, path) = (Box::new(out), Path::new(""));
+        Queue::into_writer(out, path, None, None, self.settings).map(Recorder::new)
     }
 
     fn check(&self) -> Result<(), RecordingError> {

@@ -345,7 +345,7 @@ impl<W: Write> Copy<W> {
         };
         header.channel = channel;
         if let Some(topic) = latched {
-            if !self.latched.keep(&topic, LatchedMessage::new(header, data, record)) {
+            if !self.latched.keep(&topic, header, data, record) {
                 self.outcome.add_damage(source.records.report_damage());
             }
             return Ok(());

@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::left_out::{LeftOut, listed};
-use super::output::FileGone;
 
 /// Error of recording, reading or replaying. As for all errors of this crate, `Display`
 /// covers its own layer, [`source`](std::error::Error::source) returns the cause, and
@@ -135,12 +134,17 @@ impl RecordingError {
     }
 
     pub(super) fn write(error: io::Error) -> Self {
-        match FileGone::reason(&error) {
-            Some(reason) => Self::Gone { reason },
+        match error.get_ref().and_then(|error| error.downcast_ref()) {
+            Some(FileGone(reason)) => Self::Gone { reason },
             None => Self::Write { source: Arc::new(error) },
         }
     }
 }
+
+/// What another program did to a file, so that it is no longer written to.
+#[derive(Debug, thiserror::Error)]
+#[error("the file {0} by another program")]
+pub(super) struct FileGone(pub(super) &'static str);
 
 fn others(topics: &[String]) -> String {
     match topics {

@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::RecordingError;
-use super::output::{Durable, FileGone, Output};
+use super::error::FileGone;
+use super::sync::{Durable, Syncer};
 
 /// File to record into, for [`RecorderBuilder::record_into`](super::RecorderBuilder::record_into).
 ///
@@ -50,35 +51,28 @@ impl RecordingFile {
         path: PathBuf,
         overwrite: bool,
     ) -> Result<Self, RecordingError> {
-        let failed = |path: &Path, error: io::Error| RecordingError::Open {
-            path: path.to_owned(),
-            source: Arc::new(error),
-        };
-        let (file, is_new) = match options().create_new(true).open(&path) {
-            Ok(file) => (file, true),
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
-                // Find out before opening a pipe, which would wait for a reader.
-                let is_empty = path.metadata().is_ok_and(|file| file.is_file() && file.len() == 0);
-                if !overwrite && !is_empty {
-                    return Err(RecordingError::Exists { path });
-                }
-                match options().open(&path) {
-                    Ok(file) => (file, false),
-                    Err(error) if is_locked_elsewhere(&error) => {
-                        return Err(RecordingError::Busy { path });
-                    }
-                    Err(error) => return Err(failed(&path, error)),
-                }
+        let mut opened = options().create_new(true).open(&path);
+        let exists = |error: &io::Error| error.kind() == io::ErrorKind::AlreadyExists;
+        let is_unused = !opened.as_ref().is_err_and(exists);
+        if !is_unused {
+            // Find out before opening a pipe, which would wait for a reader.
+            let is_empty = path.metadata().is_ok_and(|file| file.is_file() && file.len() == 0);
+            if !overwrite && !is_empty {
+                return Err(RecordingError::Exists { path });
             }
-            Err(error) => return Err(failed(&path, error)),
-        };
-        let metadata = file.metadata().map_err(|error| failed(&path, error))?;
-        let is_regular = metadata.is_file();
-        if is_regular && !lock(&file) {
-            return Err(RecordingError::Busy { path });
+            opened = options().open(&path);
         }
-        let path = OpenedPath { path, is_unused: is_new };
-        Ok(Self { path, first, file, is_regular })
+        let opened = opened.and_then(|file| Ok((file.metadata()?.is_file(), file)));
+        match opened {
+            Ok((is_regular, file)) if !is_regular || lock(&file) => {
+                let path = OpenedPath { path, is_unused };
+                Ok(Self { path, first, file, is_regular })
+            }
+            Err(error) if !is_locked_elsewhere(&error) => {
+                Err(RecordingError::Open { path, source: Arc::new(error) })
+            }
+            _ => Err(RecordingError::Busy { path }),
+        }
     }
 
     /// Path of the file.
@@ -100,17 +94,19 @@ impl RecordingFile {
         }
     }
 
-    /// Empties the file.
-    pub(super) fn begin(self) -> io::Result<Output> {
+    /// Empties the file, and has it synced from now on.
+    pub(super) fn begin(self, syncer: Option<Syncer>) -> io::Result<Box<dyn Write + Send>> {
         let Self { path: mut opened, file, is_regular, .. } = self;
         opened.is_unused = false;
-        let mut durable: Option<Box<dyn Durable>> = None;
+        let syncer = syncer.filter(|_| is_regular);
         if is_regular {
             file.set_len(0)?;
-            let (path, file) = (opened.path.clone(), file.try_clone()?);
-            durable = Some(Box::new(DurableFile { file, path }));
         }
-        Ok(Output { writer: Box::new(FileWriter { file, is_regular, length: 0 }), durable })
+        if let Some(syncer) = &syncer {
+            let (path, file) = (opened.path.clone(), file.try_clone()?);
+            syncer.begin(Box::new(DurableFile { file, path }));
+        }
+        Ok(Box::new(FileWriter { file, is_regular, length: 0, syncer }))
     }
 }
 
@@ -144,6 +140,8 @@ struct FileWriter {
     is_regular: bool,
     /// Length of the file if no other program writes to it.
     length: u64,
+    /// `None` if it is not synced.
+    syncer: Option<Syncer>,
 }
 
 impl Write for FileWriter {
@@ -166,7 +164,7 @@ impl Write for FileWriter {
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        Ok(())
+        self.syncer.as_ref().map_or(Ok(()), Syncer::written)
     }
 }
 
@@ -243,10 +241,13 @@ mod tests {
     #[test]
     fn a_finished_file_is_free_during_its_sync() {
         let path = std::env::temp_dir().join(format!("scip-lock-{}.mcap", std::process::id()));
-        let output = RecordingFile::open(&path, true).unwrap().begin().unwrap();
+        let syncer = Syncer::start(std::time::Duration::MAX).unwrap();
+        let file = RecordingFile::open(&path, true).unwrap();
+        let writer = file.begin(Some(syncer.clone())).unwrap();
         assert!(RecordingFile::is_busy(&path));
-        drop(output.writer);
-        assert!(output.durable.is_some() && !RecordingFile::is_busy(&path));
+        drop(writer);
+        assert!(!RecordingFile::is_busy(&path));
+        syncer.finish().unwrap();
         std::fs::remove_file(&path).unwrap();
     }
 }

@@ -1,7 +1,8 @@
 //! [`Latched`]: messages of latched topics before a part of a recording. Whoever subscribes late
 //! gets the last message of such a topic, so the part begins with it.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap};
+use std::rc::Rc;
 use std::sync::Arc;
 
 use super::mcap::{Channel, MessageHeader};
@@ -46,28 +47,24 @@ impl LatchedTopic {
 /// Last messages of latched topics.
 #[derive(Debug, Default)]
 pub(super) struct Latched {
-    /// Number of the last message of each topic and frame.
-    last: HashMap<(LatchedTopic, String), u64>,
-    messages: BTreeMap<u64, LatchedMessage>,
+    /// Last message of each topic and frame. Frames share a message that has several.
+    last: HashMap<(LatchedTopic, String), Rc<LatchedMessage>>,
+    /// Number of the next message.
     next: u64,
+    /// Bytes of the messages.
     bytes: usize,
 }
 
 #[derive(Debug)]
 pub(super) struct LatchedMessage {
+    number: u64,
     pub(super) header: MessageHeader,
     pub(super) data: Vec<u8>,
     /// Set if it is one of a recording's own.
     pub(super) record: Option<Record>,
-    /// Number of frames whose last message it is.
-    frames: usize,
 }
 
 impl LatchedMessage {
-    pub(super) fn new(header: MessageHeader, data: &[u8], record: Option<Record>) -> Self {
-        Self { header, data: data.to_vec(), record, frames: 0 }
-    }
-
     fn bytes(&self) -> usize {
         self.data.len() * (1 + usize::from(self.record.is_some()))
     }
@@ -75,44 +72,46 @@ impl LatchedMessage {
 
 impl Latched {
     /// Keeps a message in place of earlier ones. Returns false if there is no room for it.
-    pub(super) fn keep(&mut self, topic: &LatchedTopic, mut message: LatchedMessage) -> bool {
-        let frames = child_frames(&message.data).filter(|_| topic.has_frames);
+    pub(super) fn keep(
+        &mut self,
+        topic: &LatchedTopic,
+        header: MessageHeader,
+        data: &[u8],
+        record: Option<Record>,
+    ) -> bool {
+        let frames = child_frames(data).filter(|_| topic.has_frames);
         let frames: BTreeSet<_> = frames.unwrap_or_else(|| vec![""]).into_iter().collect();
-        let frames = frames.into_iter().map(|frame| (topic.clone(), frame.to_owned()));
-        let frames: Vec<_> = frames.collect();
-        let needed = message.bytes() + frames.len() * FRAME_BYTES;
-        if self.bytes + needed > MAX_LATCHED_BYTES {
+        let number = self.next;
+        let message = LatchedMessage { number, header, data: data.to_vec(), record };
+        let frame_bytes = (self.last.len() + frames.len()) * FRAME_BYTES;
+        if self.bytes + message.bytes() + frame_bytes > MAX_LATCHED_BYTES {
             return false;
         }
-        let number = self.next;
         self.next += 1;
+        self.bytes += message.bytes();
+        let message = Rc::new(message);
         for frame in frames {
-            let last = self.last.entry(frame).or_insert(number);
-            if let Some(earlier) = self.messages.get_mut(last) {
-                if earlier.header.log_time > message.header.log_time {
-                    continue;
-                }
-                self.bytes -= FRAME_BYTES;
-                earlier.frames -= 1;
-                if earlier.frames == 0 {
-                    self.bytes -= earlier.bytes();
-                    self.messages.remove(last);
-                }
+            let frame = (topic.clone(), frame.to_owned());
+            let last = self.last.get(&frame).map(|last| last.header.log_time);
+            if last.is_none_or(|last| last <= header.log_time) {
+                let earlier = self.last.insert(frame, Rc::clone(&message));
+                earlier.into_iter().for_each(|earlier| self.release(earlier));
             }
-            *last = number;
-            message.frames += 1;
         }
-        if message.frames > 0 {
-            self.bytes += message.bytes() + message.frames * FRAME_BYTES;
-            self.messages.insert(number, message);
-        }
+        self.release(message);
         true
+    }
+
+    /// Frees a message that no frame has any more.
+    fn release(&mut self, message: Rc<LatchedMessage>) {
+        self.bytes -= Rc::into_inner(message).map_or(0, |message| message.bytes());
     }
 
     /// Returns the messages in the order of their times.
     pub(super) fn into_messages(self) -> impl Iterator<Item = LatchedMessage> {
-        let mut messages: Vec<_> = self.messages.into_values().collect();
-        messages.sort_by_key(|message| message.header.log_time);
-        messages.into_iter()
+        let mut messages: Vec<_> = self.last.into_values().collect();
+        messages.sort_by_key(|message| (message.header.log_time, message.number));
+        messages.dedup_by_key(|message| message.number);
+        messages.into_iter().filter_map(Rc::into_inner)
     }
 }

@@ -100,7 +100,6 @@ mod latched;
 mod left_out;
 mod mcap;
 mod messages;
-mod output;
 mod parts;
 mod pending;
 mod polls;

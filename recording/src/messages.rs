@@ -1,7 +1,6 @@
 //! [`Messages`]: what the messages of a file mean. Knows the topic of each channel.
 
 use std::collections::HashMap;
-use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
@@ -53,16 +52,8 @@ pub(super) struct Unread {
     pub(super) topic: Option<Arc<str>>,
     pub(super) name: Arc<str>,
     pub(super) reason: LeftOutReason,
-    pub(super) details: Details,
-}
-
-/// What is not right with a message, beside its topic.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Details {
-    Bytes(usize),
-    Header([u8; 2]),
-    Encoding(Box<[u8]>),
-    Nothing,
+    /// What is not right with it, or empty if the reason says all.
+    pub(super) details: String,
 }
 
 impl Messages {
@@ -100,7 +91,7 @@ impl Messages {
     /// Returns the topic of a channel, or why its messages cannot be read. Scans may be on any topic.
     /// The types are looked up for each message, since a damaged file may define one again: then it
     /// makes no difference whether a channel is repeated.
-    fn topic(&self, channel: &Channel) -> Result<Topic, (LeftOutReason, Details)> {
+    fn topic(&self, channel: &Channel) -> Result<Topic, (LeftOutReason, String)> {
         let kind = self.types.get(&channel.schema).copied();
         let is_a = |topic: &Topic| kind == Some(Type::Known(topic.message_type().name()));
         let is_ros1 = kind == Some(Type::Ros1Scan)
@@ -111,10 +102,10 @@ impl Messages {
             None => Some(Topic::Scans).filter(is_a),
         };
         match topic {
-            _ if is_ros1 => Err((LeftOutReason::Ros1, Details::Nothing)),
-            None => Err((LeftOutReason::OtherType, Details::Nothing)),
+            _ if is_ros1 => Err((LeftOutReason::Ros1, String::new())),
+            None => Err((LeftOutReason::OtherType, String::new())),
             Some(_) if &*channel.encoding != b"cdr" => {
-                let details = Details::Encoding(channel.encoding.clone());
+                let details = channel.encoding.escape_ascii().to_string();
                 Err((LeftOutReason::OtherEncoding, details))
             }
             Some(topic) => Ok(topic),
@@ -131,9 +122,12 @@ impl Messages {
         let topic = topic.then(|| Arc::clone(&channel.name));
         let entry = self.topic(channel).and_then(|topic| {
             parse_entry(topic, stamp, data).map_err(|error| match error {
-                CdrError::Malformed => (LeftOutReason::Malformed, Details::Bytes(data.len())),
-                CdrError::Compressed => (LeftOutReason::Compressed, Details::Nothing),
-                CdrError::Encoding(found) => (LeftOutReason::OtherEncoding, Details::Header(found)),
+                CdrError::Malformed => (LeftOutReason::Malformed, format!("{} bytes", data.len())),
+                CdrError::Compressed => (LeftOutReason::Compressed, String::new()),
+                CdrError::Encoding([first, second]) => {
+                    let details = format!("CDR header {first:02x} {second:02x}");
+                    (LeftOutReason::OtherEncoding, details)
+                }
             })
         });
         Some(match entry {
@@ -143,17 +137,6 @@ impl Messages {
                 Err(Unread { at, topic, name, reason, details })
             }
         })
-    }
-}
-
-impl fmt::Display for Details {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Bytes(bytes) => write!(f, ", {bytes} bytes"),
-            Self::Header([first, second]) => write!(f, ", CDR header {first:02x} {second:02x}"),
-            Self::Encoding(encoding) => write!(f, ", {}", encoding.escape_ascii()),
-            Self::Nothing => Ok(()),
-        }
     }
 }
 

@@ -3,13 +3,14 @@
 
 use std::fs;
 use std::io::{self, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
 
 use super::file::RecordingFile;
-use super::output::Output;
 use super::progress::Progress;
+use super::sync::Syncer;
 use super::{RecordingError, lock};
 
 /// With this many index entries, a file is split at the next opportunity. Less than the maximum,
@@ -41,9 +42,6 @@ impl Limits {
     }
 }
 
-/// Wraps the output of a further file.
-type Wrap = Box<dyn Fn(Output) -> Box<dyn Write + Send> + Send>;
-
 /// Files of a recording after the first one.
 pub(super) struct Parts {
     limits: Limits,
@@ -54,7 +52,7 @@ pub(super) struct Parts {
     /// Finished files, oldest first. Empty unless old files are removed.
     old: Vec<OldPart>,
     progress: Arc<Mutex<Progress>>,
-    wrap: Wrap,
+    syncer: Option<Syncer>,
 }
 
 /// Finished file.
@@ -65,19 +63,18 @@ struct OldPart {
 }
 
 impl Parts {
-    /// `current` is the file being written, and `path` the recording's first file. `wrap`
-    /// wraps the output of each further file.
+    /// `current` is the file being written, and `path` the recording's first file. `syncer` syncs
+    /// each further file.
     pub(super) fn new(
         limits: Limits,
         path: Option<PathBuf>,
         current: &Path,
         progress: Arc<Mutex<Progress>>,
-        wrap: impl Fn(Output) -> Box<dyn Write + Send> + Send + 'static,
+        syncer: Option<Syncer>,
     ) -> Self {
         let last = path.as_ref().and_then(|path| begun_parts(path).pop());
         let number = last.map_or(1, |(number, _)| number);
-        let (old, wrap) = (Vec::new(), Box::new(wrap));
-        let mut parts = Self { limits, path, number, old, progress, wrap };
+        let mut parts = Self { limits, path, number, old: Vec::new(), progress, syncer };
         parts.find_old(current);
         parts
     }
@@ -105,7 +102,7 @@ impl Parts {
     }
 
     /// Creates the next file, with the next unused number.
-    pub(super) fn next(&mut self) -> io::Result<Box<dyn Write + Send>> {
+    pub(super) fn next(&mut self) -> io::Result<Counted> {
         let Some(path) = self.path.clone() else { return Err(io::ErrorKind::Unsupported.into()) };
         loop {
             self.number += 1;
@@ -122,11 +119,17 @@ impl Parts {
                 }
                 Err(error) => return Err(failed(&error, io::ErrorKind::Other)),
             };
-            let out = file.begin().map_err(|error| failed(&error, io::ErrorKind::Other))?;
+            let begun = file.begin(self.syncer.clone());
+            let out = begun.map_err(|error| failed(&error, io::ErrorKind::Other))?;
             self.find_old(&path);
             lock(&self.progress).files += 1;
-            return Ok((self.wrap)(out));
+            return Ok(self.count(out));
         }
+    }
+
+    /// Counts the bytes written into a file of the recording.
+    pub(super) fn count(&self, out: Box<dyn Write + Send>) -> Counted {
+        Counted { out, progress: Arc::clone(&self.progress) }
     }
 
     /// Looks for finished files of the recording, if old ones are removed.
@@ -183,6 +186,35 @@ impl OldPart {
             }
         }
         Ok(())
+    }
+}
+
+/// Counts the bytes written. A panic of the user's writer becomes an error that ends the recording but
+/// not its thread.
+pub(super) struct Counted {
+    out: Box<dyn Write + Send>,
+    progress: Arc<Mutex<Progress>>,
+}
+
+impl Counted {
+    fn catch_panic<T>(
+        &mut self,
+        work: impl FnOnce(&mut dyn Write) -> io::Result<T>,
+    ) -> io::Result<T> {
+        let done = catch_unwind(AssertUnwindSafe(|| work(&mut *self.out)));
+        done.unwrap_or_else(|_| Err(io::Error::other("the writer panicked")))
+    }
+}
+
+impl Write for Counted {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.catch_panic(|out| out.write(bytes))?;
+        lock(&self.progress).bytes += written as u64;
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.catch_panic(|out| out.flush())
     }
 }
 
@@ -244,7 +276,7 @@ mod tests {
         let (path, second) = (Path::new("run.mcap"), Duration::from_secs(1));
         let parts = |bytes| {
             let limits = Limits { bytes, ..Limits::default() };
-            Parts::new(limits, Some(path.to_owned()), path, Arc::default(), |out| out.writer)
+            Parts::new(limits, Some(path.to_owned()), path, Arc::default(), None)
         };
         assert!(!parts(None).is_full(second, MAX_PART_BYTES - 1, 1));
         assert!(parts(None).is_full(second, MAX_PART_BYTES, 1));

@@ -3,7 +3,6 @@
 //! scans come, and `held` holds all messages until the trigger.
 
 use std::io::{self, Write};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, Mutex};
@@ -12,10 +11,10 @@ use std::time::Duration;
 use tokio::sync::{oneshot, watch};
 use tokio::time::Instant;
 
+use super::file::RecordingFile;
 use super::held::Held;
 use super::item::WriteItem;
 use super::mcap::Compression;
-use super::output::Output;
 use super::parts::{Limits, Parts};
 use super::pending::PendingReplies;
 use super::progress::Progress;
@@ -71,26 +70,32 @@ impl Queue {
         (queue, receiver)
     }
 
-    /// Starts a file, and the threads that write and sync it. If there is a `path`, creates
-    /// further files beside it; `current` is the path of `out`. Without a `sync_interval`
-    /// nothing is synced.
+    /// Starts a file, and the threads that write and sync it.
     pub(super) fn into_file(
-        out: Output,
-        current: &Path,
-        path: Option<PathBuf>,
+        file: RecordingFile,
         settings: QueueSettings,
     ) -> Result<Arc<Self>, RecordingError> {
-        let QueueSettings { limits, frame_id, compression, sync_interval, before } = settings;
-        let syncer = sync_interval.map(Syncer::start).transpose().map_err(RecordingError::write)?;
-        let (queue, receiver) = Self::new(syncer, before);
+        let syncer = settings.sync_interval.map(Syncer::start).transpose();
+        let syncer = syncer.map_err(RecordingError::write)?;
+        let (current, path) = (file.path().to_owned(), file.first().map(Path::to_owned));
+        let out = file.begin(syncer.clone()).map_err(RecordingError::write)?;
+        Self::into_writer(out, &current, path, syncer, settings)
+    }
+
+    /// Starts a file, and the thread that writes it into `out`. If there is a `path`, creates further
+    /// files beside it; `current` is the path of `out`. Without a `syncer` nothing is synced.
+    pub(super) fn into_writer(
+        out: Box<dyn Write + Send>,
+        current: &Path,
+        path: Option<PathBuf>,
+        syncer: Option<Syncer>,
+        settings: QueueSettings,
+    ) -> Result<Arc<Self>, RecordingError> {
+        let QueueSettings { limits, frame_id, compression, before, .. } = settings;
+        let (queue, receiver) = Self::new(syncer.clone(), before);
         let queue = Arc::new(queue);
-        let first = Counted::wrap(out, &queue);
-        let further = {
-            let queue = Arc::clone(&queue);
-            move |out| Counted::wrap(out, &queue)
-        };
-        let parts = Parts::new(limits, path, current, Arc::clone(&queue.progress), further);
-        let writer = Writer::new(first, parts, frame_id, compression);
+        let parts = Parts::new(limits, path, current, Arc::clone(&queue.progress), syncer);
+        let writer = Writer::new(out, parts, frame_id, compression);
         let writer = writer.map_err(RecordingError::write)?;
         let thread = {
             let queue = Arc::clone(&queue);
@@ -246,48 +251,11 @@ fn write_all(
     }
 }
 
-/// Counts the bytes written, and has them synced. A panic of the user's writer becomes an
-/// error that ends the recording but not this thread.
-struct Counted {
-    out: Box<dyn Write + Send>,
-    queue: Arc<Queue>,
-}
-
-impl Counted {
-    fn wrap(out: Output, queue: &Arc<Queue>) -> Box<dyn Write + Send> {
-        if let (Some(syncer), Some(file)) = (&queue.syncer, out.durable) {
-            syncer.begin(file);
-        }
-        Box::new(Self { out: out.writer, queue: Arc::clone(queue) })
-    }
-
-    fn catch_panic<T>(
-        &mut self,
-        work: impl FnOnce(&mut dyn Write) -> io::Result<T>,
-    ) -> io::Result<T> {
-        let done = catch_unwind(AssertUnwindSafe(|| work(&mut *self.out)));
-        done.unwrap_or_else(|_| Err(io::Error::other("the writer panicked")))
-    }
-}
-
-impl Write for Counted {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let written = self.catch_panic(|out| out.write(bytes))?;
-        lock(&self.queue.progress).bytes += written as u64;
-        Ok(written)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.catch_panic(|out| out.flush())?;
-        self.queue.syncer.as_ref().map_or(Ok(()), Syncer::written)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use futures::FutureExt as _;
 
-    use super::super::output::Durable;
+    use super::super::sync::Durable;
     use super::super::writer::Times;
     use super::*;
 
@@ -312,11 +280,13 @@ mod tests {
             limits: Limits::default(),
             frame_id: String::new(),
             compression: Compression::Plain,
-            sync_interval: Some(Duration::ZERO),
+            sync_interval: None,
             before: None,
         };
-        let disk = Output { writer: Box::new(io::sink()), durable: Some(Box::new(Hangs(wait))) };
-        let queue = Queue::into_file(disk, Path::new(""), None, settings).unwrap();
+        let syncer = Syncer::start(Duration::ZERO).unwrap();
+        syncer.begin(Box::new(Hangs(wait)));
+        let (file, path) = (Box::new(io::sink()), Path::new(""));
+        let queue = Queue::into_writer(file, path, None, Some(syncer), settings).unwrap();
         queue.finish().await.unwrap();
         assert!(queue.ended().now_or_never().is_none());
         drop(go);

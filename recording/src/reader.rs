@@ -250,7 +250,8 @@ impl Recording {
         let Unread { at, topic, name, reason, details } = unread;
         if topic == self.topic {
             if self.range.contains(at) {
-                self.left_out.add(reason, format_args!("{name}{details}"));
+                let separator = if details.is_empty() { "" } else { ", " };
+                self.left_out.add(reason, format_args!("{name}{separator}{details}"));
             }
         } else if reason != LeftOutReason::OtherType
             && (topic.is_some() || *name == *Topic::Scans.name())

@@ -7,7 +7,15 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use super::lock;
-use super::output::Durable;
+
+/// File, as the thread that syncs it sees it.
+pub(super) trait Durable: Send {
+    /// Waits until all written bytes are on the disk.
+    fn sync(&self) -> io::Result<()>;
+
+    /// Waits until the file's name is on the disk.
+    fn sync_folder(&self) -> io::Result<()>;
+}
 
 /// Handle of the thread, which ends with the last clone.
 #[derive(Debug, Clone)]
@@ -134,15 +142,18 @@ fn run(steps: &mpsc::Receiver<SyncStep>, interval: Duration, state: &Mutex<SyncS
     let mut file: Option<Box<dyn Durable>> = None;
     // When to sync next, once there is something to sync.
     let mut due: Option<Instant> = None;
-    let mut next = Instant::now();
-    let sync = |file: &Option<Box<dyn Durable>>| sync(file.as_deref(), interval, state) + interval;
+    let mut next = Some(Instant::now());
+    let sync = |file: &Option<Box<dyn Durable>>| {
+        // An interval may be longer than the clock runs.
+        sync(file.as_deref(), interval, state).checked_add(interval)
+    };
     loop {
         let step = match due {
             None => steps.recv().map_err(|_| RecvTimeoutError::Disconnected),
             Some(due) => steps.recv_timeout(due.saturating_duration_since(Instant::now())),
         };
         match step {
-            Ok(SyncStep::Written) => due = due.or(Some(next)),
+            Ok(SyncStep::Written) => due = due.or(next),
             Err(RecvTimeoutError::Timeout) => {
                 next = sync(&file);
                 due = None;
@@ -204,7 +215,7 @@ mod tests {
     #[test]
     fn a_file_is_synced_after_its_folder() {
         let (log, logged) = mpsc::channel();
-        let syncer = Syncer::start(Duration::from_secs(3600)).unwrap();
+        let syncer = Syncer::start(Duration::MAX).unwrap();
         let ((one, _), (two, _)) = (disk("one", &log), disk("two", &log));
         syncer.begin(one);
         syncer.written().unwrap();

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use super::METADATA;
 use super::mcap::{self, Compression, McapWriter, MessageHeader, kind, nanos};
-use super::parts::Parts;
+use super::parts::{Counted, Parts};
 use super::reply::identity_command;
 use super::topics::Topic;
 use crate::ros::{self, since_1970};
@@ -50,7 +50,7 @@ impl Times {
     }
 }
 
-type Mcap = McapWriter<Box<dyn Write + Send>>;
+type Mcap = McapWriter<Counted>;
 
 /// Writes a recording, in one file or several.
 pub(super) struct Writer {
@@ -93,7 +93,7 @@ impl Writer {
         compression: Compression,
     ) -> io::Result<Self> {
         let mut writer = Self {
-            mcap: start(out, compression)?,
+            mcap: start(parts.count(out), compression)?,
             parts,
             began: Times::now(),
             frame_id,
@@ -270,7 +270,7 @@ fn identified(request: &str, bytes: &[u8]) -> Option<&'static str> {
 }
 
 /// Starts a file with the three channels.
-fn start(out: Box<dyn Write + Send>, compression: Compression) -> io::Result<Mcap> {
+fn start(out: Counted, compression: Compression) -> io::Result<Mcap> {
     let mut mcap = McapWriter::start(out, &mcap::header("ros2", LIBRARY), compression)?;
     for topic in Topic::ALL {
         let message = topic.message_type();
@@ -305,8 +305,8 @@ mod tests {
         std::fs::create_dir_all(&folder).unwrap();
         let path = folder.join("run.mcap");
         let (limits, first) = (Limits::default(), Some(path.clone()));
-        let parts = Parts::new(limits, first, &path, Default::default(), |out| out.writer);
-        let out = RecordingFile::open(&path, false).unwrap().begin().unwrap().writer;
+        let parts = Parts::new(limits, first, &path, Default::default(), None);
+        let out = RecordingFile::open(&path, false).unwrap().begin(None).unwrap();
         let mut writer = Writer::new(out, parts, "laser".to_owned(), Compression::Plain).unwrap();
         let mut times = writer.began;
         while writer.mcap.index_entries() < MAX_PART_ENTRIES - 4 {
