@@ -4,7 +4,6 @@
 //! Written by hand, for files that are hostile, damaged or weeks long; `rationale` compares it with
 //! the crate `mcap`, with which the tests read what is written here.
 
-mod compress;
 mod compression;
 mod definitions;
 mod form;

@@ -4,7 +4,6 @@
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
-use super::compress::Compressor;
 use super::index::{ChunkMessages, ChunkPlace, Index};
 use super::{
     CHUNK_HEAD, Compression, MAGIC, MAX_INDEX_BYTES, MessageHeader, RECORD_HEAD, kind, put_bytes,
@@ -20,7 +19,7 @@ pub(in super::super) struct McapWriter<W> {
     /// Number of bytes written.
     offset: u64,
     chunk: OpenChunk,
-    compressor: Compressor,
+    compression: Compression,
     /// Record of the latest compressed chunk.
     compressed: Vec<u8>,
     pub(super) index: Index,
@@ -52,7 +51,7 @@ impl<W: Write> McapWriter<W> {
             out,
             offset: head.len() as u64,
             chunk: OpenChunk::default(),
-            compressor: Compressor::new(compression),
+            compression,
             compressed: Vec::new(),
             index: Index::default(),
             since_channels: None,
@@ -72,8 +71,7 @@ impl<W: Write> McapWriter<W> {
 
     /// Compresses from now on, unless it does so already.
     pub(in super::super) fn compress_at_least(&mut self, compression: Compression) {
-        let known = &mut self.compressor.compression;
-        *known = compression.max(*known);
+        self.compression = compression.max(self.compression);
     }
 
     /// Number of bytes written.
@@ -215,10 +213,10 @@ impl<W: Write> McapWriter<W> {
         }
         let records = chunk.record.get(CHUNK_HEAD..).unwrap_or_default();
         let (size, crc) = (records.len(), crc32fast::hash(records));
-        let name = self.compressor.compression.name();
+        let name = self.compression.name();
         self.compressed.clear();
         self.compressed.resize(CHUNK_HEAD + name.len(), 0);
-        let is_compressed = self.compressor.compress(records, &mut self.compressed);
+        let is_compressed = self.compression.compress(records, &mut self.compressed);
         let (record, compression) = match is_compressed {
             true => (&mut self.compressed, name),
             false => (&mut chunk.record, ""),

@@ -5,13 +5,12 @@
 //! Believes no length until it agrees with another one or with the existing bytes. So the
 //! file, and a chunk of it, bound the memory.
 
-mod decompress;
 mod end;
 
 use std::collections::VecDeque;
 use std::ops::Range;
 
-use self::decompress::decompress;
+use super::compression::decompress;
 use super::form::{
     ChunkHead, Extent, Kinds, chunk_head, is_known, is_message_index, is_well_formed, next_start,
     outside_chunks,
@@ -317,7 +316,7 @@ impl Sections {
     fn decompress(&mut self, head: &ChunkHead, is_whole: bool) -> Result<(), RecordingError> {
         let compressed = head.records.start..self.used.min(head.records.end);
         let compressed = self.window.bytes(compressed);
-        match decompress(compressed, head, &mut self.decompressed) {
+        match decompress(&head.compression, compressed, head.size, &mut self.decompressed) {
             None => Err(self.unknown_compression(&head.compression)),
             Some(Err(reason)) if is_whole => Err(self.damaged(reason)),
             Some(_) => Ok(()),
