@@ -129,6 +129,10 @@ pub enum RecordingError {
 }
 
 impl RecordingError {
+    pub(super) fn open(path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> Self {
+        move |error| Self::Open { path: path.into(), source: Arc::new(error) }
+    }
+
     pub(super) fn read(error: io::Error) -> Self {
         Self::Read { source: Arc::new(error) }
     }

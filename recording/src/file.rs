@@ -4,7 +4,6 @@
 use std::fs::{File, OpenOptions};
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use super::RecordingError;
 use super::error::FileGone;
@@ -68,9 +67,7 @@ impl RecordingFile {
                 let path = OpenedPath { path, is_unused };
                 Ok(Self { path, first, file, is_regular })
             }
-            Err(error) if !is_locked_elsewhere(&error) => {
-                Err(RecordingError::Open { path, source: Arc::new(error) })
-            }
+            Err(error) if !is_locked_elsewhere(&error) => Err(RecordingError::open(path)(error)),
             _ => Err(RecordingError::Busy { path }),
         }
     }

@@ -3,7 +3,6 @@
 use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Component, Path, PathBuf};
-use std::sync::Arc;
 
 use super::RecordingError;
 
@@ -28,10 +27,6 @@ pub fn recording_files(path: impl AsRef<Path>) -> Result<Vec<PathBuf>, Recording
         let checked = if path.exists() { check_format(path) } else { Ok(()) };
         return checked.map(|()| vec![path.to_owned()]);
     }
-    let failed = |path: &Path| {
-        let path = path.to_owned();
-        |error: io::Error| RecordingError::Open { path, source: Arc::new(error) }
-    };
     let no_recording = |reason| Err(RecordingError::Folder { path: path.to_owned(), reason });
     let metadata = path.join(METADATA_FILE);
     let mut text = String::new();
@@ -45,9 +40,9 @@ pub fn recording_files(path: impl AsRef<Path>) -> Result<Vec<PathBuf>, Recording
             _ => return no_recording("its metadata.yaml lists no files in it"),
         },
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
-            numbered(path).map_err(failed(path))?
+            numbered(path).map_err(RecordingError::open(path))?
         }
-        Err(error) => return Err(failed(&metadata)(error)),
+        Err(error) => return Err(RecordingError::open(metadata)(error)),
     };
     if files.is_empty() {
         return no_recording("it has neither a metadata.yaml nor .mcap files");

@@ -107,20 +107,17 @@ impl Parts {
         loop {
             self.number += 1;
             let path = part_path(&path, self.number);
-            let failed = |error: &dyn std::error::Error, kind| {
-                io::Error::new(kind, format!("cannot create {}: {error}", path.display()))
-            };
-            let opened = RecordingFile::open(&path, false);
-            let file = match opened {
-                Ok(file) => file,
+            let begun = match RecordingFile::open(&path, false) {
+                Ok(file) => file.begin(self.syncer.clone()),
                 Err(RecordingError::Exists { .. } | RecordingError::Busy { .. }) => continue,
                 Err(RecordingError::Open { source, .. }) => {
-                    return Err(failed(&*source, source.kind()));
+                    Err(io::Error::new(source.kind(), source))
                 }
-                Err(error) => return Err(failed(&error, io::ErrorKind::Other)),
+                Err(error) => Err(io::Error::other(error)),
             };
-            let begun = file.begin(self.syncer.clone());
-            let out = begun.map_err(|error| failed(&error, io::ErrorKind::Other))?;
+            let out = begun.map_err(|error| {
+                io::Error::new(error.kind(), format!("cannot create {}: {error}", path.display()))
+            })?;
             self.find_old(&path);
             lock(&self.progress).files += 1;
             return Ok(self.count(out));

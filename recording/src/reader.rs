@@ -331,10 +331,7 @@ impl Recording {
 }
 
 fn open(path: PathBuf) -> Result<Input, RecordingError> {
-    match File::open(&path) {
-        Ok(file) => Ok(Input::File(file)),
-        Err(error) => Err(RecordingError::Open { path, source: Arc::new(error) }),
-    }
+    File::open(&path).map(Input::File).map_err(RecordingError::open(path))
 }
 
 /// Part of a file that is read one by one.

@@ -80,8 +80,7 @@ impl Recording {
             started: None,
             sensor: None,
             is_of_one_sensor: false,
-            has_polls: false,
-            is_over: false,
+            has_answer: false,
         }
     }
 }
@@ -100,8 +99,8 @@ pub struct RecordedScans {
     /// First sensor, and whether to leave out all others.
     sensor: Option<Model>,
     is_of_one_sensor: bool,
-    has_polls: bool,
-    is_over: bool,
+    /// Set after the first poll, or once it was reported that there is none.
+    has_answer: bool,
 }
 
 impl RecordedScans {
@@ -205,24 +204,22 @@ impl Iterator for RecordedScans {
     type Item = Result<Scan, RecordingError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        while !self.is_over {
+        loop {
             match self.polls.next() {
+                None if self.has_answer => return None,
                 None => {
-                    self.is_over = true;
-                    if !self.has_polls {
-                        return Some(Err(self.polls.recording.no_scans()));
-                    }
+                    self.has_answer = true;
+                    return Some(Err(self.polls.recording.no_scans()));
                 }
                 Some(Err(error)) => return Some(Err(error)),
                 Some(Ok(poll)) => {
-                    self.has_polls = true;
+                    self.has_answer = true;
                     if let Some(scan) = self.scan(&poll) {
                         return Some(Ok(scan));
                     }
                 }
             }
         }
-        None
     }
 }
 

@@ -4,13 +4,13 @@
 
 use std::collections::BTreeMap;
 
-use super::{MAX_INDEX_BYTES, MessageHeader, kind, put_bytes, put_record};
+use super::{MAX_INDEX_BYTES, MessageHeader, kind, put_bytes, put_numbers, put_record};
 
 /// Messages of a chunk: their times, and their positions among its records.
 #[derive(Default)]
 pub(super) struct ChunkMessages {
     span: Option<(u64, u64)>,
-    channels: BTreeMap<u16, Vec<(u64, u64)>>,
+    channels: BTreeMap<u16, Vec<[u64; 2]>>,
 }
 
 /// Where a chunk is, and how it is compressed.
@@ -50,7 +50,7 @@ impl ChunkMessages {
     /// Adds a message that starts at `place` in the chunk's records.
     pub(super) fn add(&mut self, header: MessageHeader, place: usize) {
         self.span = Some(extend(self.span, header.log_time, header.log_time));
-        self.channels.entry(header.channel).or_default().push((header.log_time, place as u64));
+        self.channels.entry(header.channel).or_default().push([header.log_time, place as u64]);
     }
 
     /// Log times of the first and the last message, or 0 without messages.
@@ -64,14 +64,11 @@ impl ChunkMessages {
         let (mut records, mut places) = (Vec::new(), Vec::new());
         for (channel, messages) in &self.channels {
             places.extend_from_slice(&channel.to_le_bytes());
-            places.extend_from_slice(&(start + records.len() as u64).to_le_bytes());
+            put_numbers(&mut places, &[start + records.len() as u64]);
             put_record(&mut records, kind::MESSAGE_INDEX, |out| {
                 out.extend_from_slice(&channel.to_le_bytes());
                 out.extend_from_slice(&(messages.len() as u32 * 16).to_le_bytes());
-                for (time, place) in messages {
-                    out.extend_from_slice(&time.to_le_bytes());
-                    out.extend_from_slice(&place.to_le_bytes());
-                }
+                messages.iter().for_each(|entry| put_numbers(out, entry));
             });
         }
         (records, places)
@@ -112,8 +109,7 @@ impl Index {
     pub(super) fn add_metadata(&mut self, start: u64, length: u64, name: &str) {
         self.metadata += 1;
         put_record(&mut self.metadata_indexes, kind::METADATA_INDEX, |out| {
-            out.extend_from_slice(&start.to_le_bytes());
-            out.extend_from_slice(&length.to_le_bytes());
+            put_numbers(out, &[start, length]);
             put_bytes(out, name.as_bytes());
         });
         self.limit_length();
@@ -136,15 +132,11 @@ impl Index {
         }
         let (first, last) = messages.span();
         put_record(&mut self.chunk_indexes, kind::CHUNK_INDEX, |out| {
-            for field in [first, last, place.start, place.length] {
-                out.extend_from_slice(&field.to_le_bytes());
-            }
+            put_numbers(out, &[first, last, place.start, place.length]);
             put_bytes(out, places);
-            out.extend_from_slice(&(lists.len() as u64).to_le_bytes());
+            put_numbers(out, &[lists.len() as u64]);
             put_bytes(out, place.compression.as_bytes());
-            for field in [place.compressed, place.size] {
-                out.extend_from_slice(&field.to_le_bytes());
-            }
+            put_numbers(out, &[place.compressed, place.size]);
         });
         self.limit_length();
     }
@@ -180,8 +172,7 @@ impl Index {
             }
             put_record(&mut offsets, kind::SUMMARY_OFFSET, |offset| {
                 offset.push(kind);
-                offset.extend_from_slice(&(base + from as u64).to_le_bytes());
-                offset.extend_from_slice(&((out.len() - from) as u64).to_le_bytes());
+                put_numbers(offset, &[base + from as u64, (out.len() - from) as u64]);
             });
         };
         put_group(kind::SCHEMA, self.schemas.into_values().collect());
@@ -198,18 +189,17 @@ impl Index {
         let mut record = Vec::new();
         put_record(&mut record, kind::STATISTICS, |out| {
             let (start, end) = self.span.unwrap_or_default();
-            out.extend_from_slice(&self.messages.values().sum::<u64>().to_le_bytes());
+            put_numbers(out, &[self.messages.values().sum()]);
             out.extend_from_slice(&(self.schemas.len() as u16).to_le_bytes());
             out.extend_from_slice(&(self.channels.len() as u32).to_le_bytes());
             out.extend_from_slice(&[0; 4]); // attachments
             out.extend_from_slice(&(self.metadata as u32).to_le_bytes());
             out.extend_from_slice(&(self.chunks as u32).to_le_bytes());
-            out.extend_from_slice(&start.to_le_bytes());
-            out.extend_from_slice(&end.to_le_bytes());
+            put_numbers(out, &[start, end]);
             out.extend_from_slice(&(self.messages.len() as u32 * 10).to_le_bytes());
             for (channel, count) in &self.messages {
                 out.extend_from_slice(&channel.to_le_bytes());
-                out.extend_from_slice(&count.to_le_bytes());
+                put_numbers(out, &[*count]);
             }
         });
         record

@@ -6,8 +6,8 @@ use std::io::{self, Write};
 
 use super::index::{ChunkMessages, ChunkPlace, Index};
 use super::{
-    CHUNK_HEAD, Compression, MAGIC, MAX_INDEX_BYTES, MessageHeader, RECORD_HEAD, kind, put_bytes,
-    put_record,
+    CHUNK_HEAD, Compression, FOOTER_BYTES, MAGIC, MAX_INDEX_BYTES, MessageHeader, RECORD_HEAD,
+    kind, put_bytes, put_numbers, put_record,
 };
 
 /// A chunk is written before a message makes it longer than this. Until then it waits for a flush.
@@ -118,8 +118,7 @@ impl<W: Write> McapWriter<W> {
         put_record(&mut self.chunk.record, kind::MESSAGE, |out| {
             out.extend_from_slice(&header.channel.to_le_bytes());
             out.extend_from_slice(&header.sequence.to_le_bytes());
-            out.extend_from_slice(&header.log_time.to_le_bytes());
-            out.extend_from_slice(&header.publish_time.to_le_bytes());
+            put_numbers(out, &[header.log_time, header.publish_time]);
             out.extend_from_slice(data);
         });
         Ok(())
@@ -162,9 +161,7 @@ impl<W: Write> McapWriter<W> {
         let index = std::mem::take(&mut self.index);
         let [start, offsets_start] = index.put_summary(&mut end, self.offset);
         end.push(kind::FOOTER);
-        for field in [20, start, offsets_start] {
-            end.extend_from_slice(&field.to_le_bytes());
-        }
+        put_numbers(&mut end, &[FOOTER_BYTES as u64, start, offsets_start]);
         // Covers the summary and the footer up to here.
         let crc = crc32fast::hash(end.get(summary_at..).unwrap_or_default());
         end.extend_from_slice(&crc.to_le_bytes());
@@ -224,13 +221,11 @@ impl<W: Write> McapWriter<W> {
         let head_bytes = CHUNK_HEAD + compression.len();
         let (start, end) = chunk.messages.span();
         let mut head = vec![kind::CHUNK];
-        head.extend_from_slice(&((record.len() - RECORD_HEAD) as u64).to_le_bytes());
-        head.extend_from_slice(&start.to_le_bytes());
-        head.extend_from_slice(&end.to_le_bytes());
-        head.extend_from_slice(&(size as u64).to_le_bytes());
+        let length = (record.len() - RECORD_HEAD) as u64;
+        put_numbers(&mut head, &[length, start, end, size as u64]);
         head.extend_from_slice(&crc.to_le_bytes());
         put_bytes(&mut head, compression.as_bytes());
-        head.extend_from_slice(&((record.len() - head_bytes) as u64).to_le_bytes());
+        put_numbers(&mut head, &[(record.len() - head_bytes) as u64]);
         if let Some(place) = record.get_mut(..head_bytes) {
             place.copy_from_slice(&head);
         }
