@@ -87,22 +87,17 @@ impl fmt::Display for LeftOut {
 /// Counter of the messages that the readers of one recording leave out. Clones share the counts,
 /// which grow while the recording is read or replayed.
 #[derive(Debug, Clone, Default)]
-pub struct LeftOutCounter(Arc<Mutex<BTreeMap<LeftOutReason, (u64, String)>>>);
+pub struct LeftOutCounter(Arc<Mutex<BTreeMap<LeftOutReason, LeftOut>>>);
 
 impl LeftOutCounter {
     /// Returns the counts so far, one for each reason.
     pub fn counts(&self) -> Vec<LeftOut> {
-        let counts = lock(&self.0);
-        let counts = counts.iter().map(|(reason, (messages, first))| LeftOut {
-            reason: *reason,
-            messages: *messages,
-            first: first.clone(),
-        });
-        counts.collect()
+        lock(&self.0).values().cloned().collect()
     }
 
     pub(super) fn add(&self, reason: LeftOutReason, details: impl fmt::Display) {
-        lock(&self.0).entry(reason).or_insert_with(|| (0, details.to_string())).0 += 1;
+        let first = || LeftOut { reason, messages: 0, first: details.to_string() };
+        lock(&self.0).entry(reason).or_insert_with(first).messages += 1;
     }
 }
 

@@ -32,9 +32,8 @@ const MAX_SOURCES: usize = 16;
 pub(super) struct PollReply {
     /// Log time of its receipt.
     pub(super) at: SystemTime,
-    pub(super) model: Model,
-    /// Requested window.
-    pub(super) asked: Window,
+    /// Sensor, and requested window.
+    pub(super) asked: Stream,
     /// Window of the recorded stream, if this is a poll of it.
     pub(super) window: Option<Window>,
     /// Wall clock when the first byte arrived.
@@ -72,15 +71,15 @@ impl PollReply {
         let mut values = self.answer.values()?;
         // The driver may have asked for extra points before or after the window, or for a stream of more
         // windows, whose clusters it makes.
-        let clusters = self.asked.cluster_count();
-        let surplus = window.start().saturating_sub(self.asked.start());
+        let clusters = self.asked.window.cluster_count();
+        let surplus = window.start().saturating_sub(self.asked.window.start());
         let (surplus, steps) = (usize::from(surplus / u16::from(clusters)), window.steps());
         for values in [&mut values.distances, &mut values.intensities] {
             values.drain(..surplus.min(values.len()));
             values.truncate(steps.div_ceil(clusters.into()));
         }
         if clusters != window.cluster_count() {
-            values.cluster(window.cluster_count(), &self.model.geometry());
+            values.cluster(window.cluster_count(), &self.asked.model.geometry());
         }
         (values.distances.len() == window.points()).then_some((window, values))
     }
@@ -90,13 +89,13 @@ impl PollReply {
         let points = |window: &Window| (window.start(), window.cluster_count(), window.points());
         let is_same = match &self.answer {
             // A message does not tell how many steps its last point has.
-            Answer::Values(_) => points(&stream.window) == points(&self.asked),
+            Answer::Values(_) => points(&stream.window) == points(&self.asked.window),
             // In SCIP 2 the driver asks for the window itself, or for a stream of more windows.
-            Answer::Reply(reply) if reply.is_streamed() => self.asked.holds(&stream.window),
-            _ if self.model.0.is_some() => stream.window == self.asked,
-            _ => stream.window.is_polled_as(self.asked),
+            Answer::Reply(reply) if reply.is_streamed() => self.asked.window.holds(&stream.window),
+            _ if self.asked.model.0.is_some() => stream.window == self.asked.window,
+            _ => stream.window.is_polled_as(self.asked.window),
         };
-        is_same && stream.model.is_like(&self.model)
+        is_same && stream.model.is_like(&self.asked.model)
     }
 }
 
@@ -143,10 +142,8 @@ impl StreamPolls {
     /// Takes the next record of the file.
     pub(super) fn add(&mut self, record: Record) {
         let Record { at, stamp, .. } = record;
-        let poll = |of: Stream, answer| {
-            let Stream { model, window: asked, .. } = of;
-            PollReply { at, model, asked, window: None, stamp, scan_time: None, answer }
-        };
+        let poll =
+            |asked, answer| PollReply { at, asked, window: None, stamp, scan_time: None, answer };
         let poll = match record.entry {
             Entry::Reply(reply) => {
                 if let Some(parameters) = reply.parameters() {
@@ -218,7 +215,7 @@ impl StreamPolls {
                 _ => Some(LeftOutReason::OtherWindow),
             };
             if let Some(reason) = reason {
-                self.left_out.add(reason, poll.asked);
+                self.left_out.add(reason, poll.asked.window);
                 if poll.window.is_some() {
                     continue;
                 }
@@ -259,14 +256,14 @@ impl StreamPolls {
                 let window = self.streams.get(place).map(|stream| stream.window);
                 let mut places = 0..;
                 self.streams.retain(|stream| {
-                    places.next() >= Some(place) || !stream.model.is_like(&poll.model)
+                    places.next() >= Some(place) || !stream.model.is_like(&poll.asked.model)
                 });
                 window
             }
             // Of messages alone all belong together.
             None => {
                 let is_message = matches!(poll.answer, Answer::Values(_));
-                Some(poll.asked).filter(|_| is_message && !self.is_described)
+                Some(poll.asked.window).filter(|_| is_message && !self.is_described)
             }
         }
     }
@@ -276,16 +273,13 @@ impl StreamPolls {
     /// four.
     fn find_stream(&mut self) {
         let Some(first) = self.waiting.front() else { return };
-        let is_like = |poll: &&PollReply| poll.model.is_like(&first.model);
+        let is_like = |poll: &&PollReply| poll.asked.model.is_like(&first.asked.model);
         // In SCIP 2 none is wider.
-        let count = if first.model.0.is_some() { 1 } else { self.waiting.len() };
+        let count = if first.asked.model.0.is_some() { 1 } else { self.waiting.len() };
         let same = self.waiting.iter().take(count).filter(is_like);
-        let streams = same.map(|poll| {
-            let (model, window) = (poll.model.clone(), poll.asked);
-            Stream { model, window }
-        });
-        let stream = streams.filter(|stream| first.is_of(stream));
-        self.streams.extend(stream.min_by_key(|stream| stream.window.steps()));
+        let stream = same.map(|poll| &poll.asked).filter(|asked| first.is_of(asked));
+        let stream = stream.min_by_key(|asked| asked.window.steps()).cloned();
+        self.streams.extend(stream);
     }
 }
 

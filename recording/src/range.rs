@@ -32,15 +32,13 @@ impl TimeRange {
     pub(super) fn take_times(&mut self) -> Option<RangeInclusive<u64>> {
         let first = self.first.filter(|_| self.has_version && self.are_times_wanted)?;
         self.are_times_wanted = false;
-        let at = |since: Duration| nanos(since_1970(first).saturating_add(since));
-        let begin = match self.limits.0 {
-            Bound::Included(from) | Bound::Excluded(from) => at(from),
-            Bound::Unbounded => 0,
+        let at = |limit: Bound<Duration>, unbounded| match limit {
+            Bound::Included(since) | Bound::Excluded(since) => {
+                nanos(since_1970(first).saturating_add(since))
+            }
+            Bound::Unbounded => unbounded,
         };
-        let end = match self.limits.1 {
-            Bound::Included(to) | Bound::Excluded(to) => at(to),
-            Bound::Unbounded => u64::MAX,
-        };
+        let (begin, end) = (at(self.limits.0, 0), at(self.limits.1, u64::MAX));
         // Before the first scan, all is at its time.
         Some(if self.limits.contains(&Duration::ZERO) { 0 } else { begin }..=end)
     }
@@ -74,12 +72,7 @@ impl TimeRange {
 
     /// Returns true if a time in the file lies before the part.
     pub(super) fn begins_after(&self, at: SystemTime) -> bool {
-        let since = self.since_first_scan(at);
-        match self.limits.0 {
-            Bound::Included(from) => since < from,
-            Bound::Excluded(from) => since <= from,
-            Bound::Unbounded => false,
-        }
+        !(self.limits.0, Bound::Unbounded).contains(&self.since_first_scan(at))
     }
 
     /// Returns true if a time in the file lies in the part.

@@ -53,10 +53,6 @@ pub struct Recording {
     records: Records,
     /// Files that follow.
     further: VecDeque<PathBuf>,
-    /// True if the end of an earlier file is missing.
-    was_truncated: bool,
-    /// Chunks of the earlier files.
-    chunk_bytes: ChunkBytes,
     messages: Messages,
     metadata: BTreeMap<String, String>,
     /// Bytes of records read so far, without compression.
@@ -104,8 +100,6 @@ impl Recording {
         let mut recording = Self {
             records: Records::new(input),
             further,
-            was_truncated: false,
-            chunk_bytes: ChunkBytes::default(),
             messages: Messages::default(),
             metadata: BTreeMap::new(),
             read_bytes: 0,
@@ -183,22 +177,18 @@ impl Recording {
     /// end, an index, to find the messages. Use [`repair`](super::repair) to make a
     /// complete file.
     pub fn is_truncated(&self) -> bool {
-        self.was_truncated || self.records.is_truncated()
+        self.records.is_truncated()
     }
 
     /// Bytes of the chunks read so far, and their compressions.
     pub fn chunk_bytes(&self) -> ChunkBytes {
-        let mut bytes = self.chunk_bytes.clone();
-        bytes.extend(self.records.chunk_bytes());
-        bytes
+        self.records.chunk_bytes().clone()
     }
 
     /// Continues in the next file. Returns false after the last one.
     fn open_next(&mut self) -> Result<bool, RecordingError> {
         let Some(path) = self.further.pop_front() else { return Ok(false) };
-        self.was_truncated |= self.records.is_truncated();
-        self.chunk_bytes.extend(self.records.chunk_bytes());
-        self.records = Records::new(open(path)?);
+        self.records.continue_in(open(path)?);
         self.messages = Messages::default();
         if let Some(times) = &self.times {
             self.records.leave_out_others(times)?;

@@ -101,14 +101,14 @@ impl Replies {
                 }
             };
             let Some(window) = poll.window else {
-                if poll.model.is_like(&self.model) {
+                if poll.asked.model.is_like(&self.model) {
                     self.remember(&poll);
                 }
                 continue;
             };
             if self.window.is_none() {
-                self.model = poll.model.clone();
-            } else if !poll.model.is_like(&self.model) {
+                self.model = poll.asked.model.clone();
+            } else if !poll.asked.model.is_like(&self.model) {
                 self.polls.recording.left_out.add(LeftOutReason::OtherLaser, window);
                 continue;
             }
@@ -126,13 +126,13 @@ impl Replies {
     /// Stores the values of a reply. Returns false if it has no values.
     fn remember(&mut self, poll: &PollReply) -> bool {
         let Some(values) = poll.answer.values() else { return false };
-        let first = usize::from(poll.asked.start());
+        let first = usize::from(poll.asked.window.start());
         let Values { distances, intensities, clock } = values;
         for (memory, values) in self.memory.iter_mut().zip([distances, intensities]) {
-            let seen = memory.get_mut(first..first + poll.asked.steps()).unwrap_or_default();
+            let seen = memory.get_mut(first..first + poll.asked.window.steps()).unwrap_or_default();
             // Each step of a group gets the group's value. The emulated sensor sends the
             // smallest value of a group, so it sends that value again.
-            let groups = seen.chunks_mut(poll.asked.cluster_count().into());
+            let groups = seen.chunks_mut(poll.asked.window.cluster_count().into());
             groups.zip(values).for_each(|(group, value)| group.fill(value));
         }
         let since = poll.at.duration_since(self.began).unwrap_or_default();
@@ -166,7 +166,7 @@ impl Script for Replies {
         // The same reply to the current poll, which has another label, or is widened differently.
         let answer = reply.to(asked);
         let asked_again = |answer: &RecordedReply| match answer.values() {
-            Some(_) => has_values && answer.window(Some(&self.model)) == Some(poll.asked),
+            Some(_) => has_values && answer.window(Some(&self.model)) == Some(poll.asked.window),
             None => !has_values,
         };
         let answer = answer.filter(asked_again);

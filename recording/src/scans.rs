@@ -172,8 +172,8 @@ impl RecordedScans {
             }
             return None;
         };
-        let sensor = self.sensor.get_or_insert_with(|| poll.model.clone());
-        if self.is_of_one_sensor && !poll.model.is_like(sensor) {
+        let sensor = self.sensor.get_or_insert_with(|| poll.asked.model.clone());
+        if self.is_of_one_sensor && !poll.asked.model.is_like(sensor) {
             self.polls.recording.left_out.add(LeftOutReason::OtherLaser, window);
             return None;
         }
@@ -181,13 +181,13 @@ impl RecordedScans {
         let since = poll.at.duration_since(first).unwrap_or_default();
         let mut scan = Scan::builder(window, values.distances.as_slice())
             .intensities(values.intensities.as_slice())
-            .geometry(poll.model.geometry())
+            .geometry(poll.asked.model.geometry())
             .sequence(self.sequence)
             .received_at(began.checked_add(since).unwrap_or(began))
             .stamp(poll.stamp)
             .repeat(self.previous.as_ref() == Some(&values));
         // In SCIP 2 the geometry has it.
-        let told = self.polls.revolution.filter(|_| poll.model.0.is_none());
+        let told = self.polls.revolution.filter(|_| poll.asked.model.0.is_none());
         if let Some(revolution) = poll.scan_time.or(told) {
             scan = scan.scan_time(revolution);
         }

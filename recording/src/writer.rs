@@ -8,7 +8,7 @@ use std::time::{Duration, Instant, SystemTime};
 use super::METADATA;
 use super::mcap::{self, Compression, McapWriter, MessageHeader, kind, nanos};
 use super::parts::{Counted, Parts};
-use super::reply::identity_command;
+use super::reply::{RecordedReply, identity_command};
 use super::topics::Topic;
 use crate::ros::{self, since_1970};
 use tokio_scip::Scan;
@@ -126,7 +126,10 @@ impl Writer {
         self.write(Topic::Replies, sequence, times)?;
         self.part.reply = Some(times.wall);
         self.part.after_scan = false;
-        if let Some(command) = identified(request, bytes) {
+        let parsed = || RecordedReply::new(request, &[bytes, b"\n\n"].concat(), times.wall);
+        if let Some(command) = identity_command(request)
+            && parsed().identity().is_some()
+        {
             self.identity.insert(command, (self.message.clone(), times.wall));
         }
         Ok(())
@@ -259,14 +262,6 @@ impl Writer {
         }
         Ok(())
     }
-}
-
-/// Returns the command of a successful reply that identifies the sensor.
-fn identified(request: &str, bytes: &[u8]) -> Option<&'static str> {
-    let command = identity_command(request)?;
-    let status = if command == "V" { "0\n" } else { "00P\n" };
-    let rest = bytes.strip_prefix(request.as_bytes())?.strip_prefix(b"\n")?;
-    rest.starts_with(status.as_bytes()).then_some(command)
 }
 
 /// Starts a file with the three channels.

@@ -179,11 +179,4 @@ impl ChunkBytes {
         self.stored += stored as u64;
         self.plain += plain as u64;
     }
-
-    /// Adds the chunks of another file.
-    pub(in super::super) fn extend(&mut self, other: &Self) {
-        self.compressions.extend(&other.compressions);
-        self.stored += other.stored;
-        self.plain += other.plain;
-    }
 }

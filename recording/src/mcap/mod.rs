@@ -10,7 +10,6 @@ mod form;
 mod index;
 mod input;
 mod read;
-mod records;
 mod window;
 mod write;
 
@@ -20,7 +19,7 @@ pub use self::compression::{ChunkBytes, Compression};
 pub(super) use self::definitions::{Channel, DefinitionWriter, Definitions};
 pub(super) use self::form::parse_metadata;
 pub(super) use self::input::Input;
-pub(super) use self::records::Records;
+pub(super) use self::read::Records;
 pub(super) use self::write::{McapWriter, channel, header, schema};
 
 /// Starts and ends every file.

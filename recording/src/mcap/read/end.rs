@@ -1,11 +1,11 @@
 //! Checks a file's end: its summary, and the footer that has the position of the summary.
 
-use super::{Sections, is_data};
+use super::{Records, is_data};
 use crate::RecordingError;
 use crate::mcap::form::{Extent, record_head};
 use crate::mcap::{FILE_END, FOOTER_BYTES, Fields, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
 
-impl Sections {
+impl Records {
     /// Reads the end of the file, starting at the record that ends its data. Returns true if other
     /// readers can find the messages with it: the summary is where the footer says, its
     /// checksum is right if it has one, and nothing follows.

@@ -1,37 +1,30 @@
-//! [`Sections`]: reads a file from its beginning to wherever it ends, one chunk at a time.
-//! Finds the next record after a damaged one. Leaves out unwanted parts if the file's index
+//! [`Records`]: reads the records of a file from its beginning to wherever it ends, one chunk at a
+//! time. Finds the next record after a damaged one. Leaves out unwanted parts if the file's index
 //! lists them.
 //!
 //! Believes no length until it agrees with another one or with the existing bytes. So the
 //! file, and a chunk of it, bound the memory.
 
+mod chunk;
 mod end;
 
-use std::collections::VecDeque;
-use std::ops::Range;
+use std::collections::{HashSet, VecDeque};
+use std::ops::{Range, RangeInclusive};
 
-use super::compression::decompress;
+use self::chunk::OpenChunk;
 use super::form::{
-    ChunkHead, Extent, Kinds, chunk_head, is_known, is_message_index, is_well_formed, next_start,
-    outside_chunks,
+    Extent, Kinds, is_known, is_message_index, is_well_formed, next_start, outside_chunks,
 };
 use super::input::FileIndex;
 use super::window::Window;
-use super::{ChunkBytes, Compression, Fields, Input, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
+use super::{ChunkBytes, Fields, Input, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
 use crate::RecordingError;
 
 /// Reason for damage.
 const WRONG_HEAD: &str = "a record's kind or length is wrong";
 
-/// Part of a file. Ranges index into [`Sections::bytes`].
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Section {
-    /// A record outside of chunks.
-    Record { kind: u8, content: Range<usize> },
-    /// Records of a chunk without compression, perhaps the beginning of one at the end of a cut-off
-    /// file. They are proved by a checksum if the chunk is whole and has one.
-    Chunk { records: Range<usize>, is_cut: bool, is_proved: bool },
-}
+/// Kind of a record, and the place of its content in [`Records::bytes`].
+type Place = (u8, Range<usize>);
 
 /// Kinds of records that no summary has.
 fn is_data(kind: u8) -> bool {
@@ -41,72 +34,133 @@ fn is_data(kind: u8) -> bool {
     )
 }
 
-/// Reads the parts of a file up to its summary.
+/// Reads the well-formed records of a file up to its summary, including those in chunks.
 #[derive(Default)]
-pub(super) struct Sections {
+pub(in super::super) struct Records {
     window: Window,
-    /// Records of the latest section if it is a compressed chunk, else empty.
-    decompressed: Vec<u8>,
+    /// Chunk whose records are being read.
+    chunk: OpenChunk,
     /// Bytes of the chunks so far.
-    pub(super) chunk_bytes: ChunkBytes,
+    chunk_bytes: ChunkBytes,
     /// Name of the latest compression that this build does not read.
     unknown: Option<String>,
-    /// Length of the latest section.
+    /// Length of the latest record of the file.
     used: usize,
     /// Set once the file is known to have chunks, or none.
     has_chunks: Option<bool>,
+    /// Channels defined so far.
+    channels: HashSet<u16>,
+    /// Index of the file, once its definitions are needed.
+    index: Option<FileIndex>,
     /// Parts of the file to leave out.
-    pub(super) unwanted: VecDeque<Range<u64>>,
+    unwanted: VecDeque<Range<u64>>,
+    /// Position of the last reported damage.
+    damaged_at: Option<u64>,
     is_started: bool,
     is_over: bool,
-    /// True if the end of the file is missing, once it was read.
-    pub(super) is_truncated: bool,
+    is_truncated: bool,
 }
 
-impl Sections {
-    pub(super) fn new(input: Input) -> Self {
+impl Records {
+    pub(in super::super) fn new(input: Input) -> Self {
         Self { window: Window::new(input), ..Self::default() }
     }
 
-    /// Position of the latest section in the file.
-    pub(super) fn offset(&self) -> u64 {
-        self.window.offset
+    /// Continues in the next file of a recording.
+    pub(in super::super) fn continue_in(&mut self, input: Input) {
+        let chunk_bytes = std::mem::take(&mut self.chunk_bytes);
+        *self = Self { chunk_bytes, is_truncated: self.is_truncated, ..Self::new(input) };
     }
 
-    /// Bytes of a range of the latest section.
-    pub(super) fn bytes(&self, range: Range<usize>) -> &[u8] {
-        match self.decompressed.is_empty() {
-            true => self.window.bytes(range),
-            false => self.decompressed.get(range).unwrap_or_default(),
-        }
+    /// Returns true if a whole file was read and its end is missing.
+    pub(in super::super) fn is_truncated(&self) -> bool {
+        self.is_truncated
+    }
+
+    /// Bytes of the chunks so far.
+    pub(in super::super) fn chunk_bytes(&self) -> &ChunkBytes {
+        &self.chunk_bytes
+    }
+
+    /// Leaves out chunks without a message at these times, if the file's index lists them.
+    /// Returns its definitions next: the chunks may have them.
+    pub(in super::super) fn leave_out_others(
+        &mut self,
+        times: &RangeInclusive<u64>,
+    ) -> Result<(), RecordingError> {
+        let index = self.read_index()?;
+        self.unwanted = index.parts_outside(times).into();
+        self.index = Some(index);
+        Ok(())
     }
 
     /// Reads the index at the end of the file, which is empty if the file has none.
-    pub(super) fn index(&mut self) -> Result<FileIndex, RecordingError> {
-        self.window.input.index().map_err(|error| {
-            self.is_over = true;
-            RecordingError::read(error)
-        })
+    fn read_index(&mut self) -> Result<FileIndex, RecordingError> {
+        let index = self.window.input.index();
+        self.is_over |= index.is_err();
+        index.map_err(RecordingError::read)
     }
 
-    /// Reads the next section, or returns `None` at the end of the data. After an error
-    /// other than [`RecordingError::Damaged`], no sections follow.
-    pub(super) fn next(&mut self) -> Result<Option<Section>, RecordingError> {
-        if self.is_over {
-            return Ok(None);
-        }
-        self.decompressed.clear();
-        let mut section = self.section();
-        if matches!(section, Ok(None)) && self.chunk_bytes.compressions.is_empty() {
-            let compression = self.unknown.take();
-            section = compression
-                .map_or(section, |compression| Err(RecordingError::Compressed { compression }));
-        }
-        self.is_over = !matches!(section, Ok(Some(_)) | Err(RecordingError::Damaged { .. }));
-        section
+    /// Reports the latest record as damaged. Returns its position or that of its chunk, once: however
+    /// many of its records are damaged.
+    pub(in super::super) fn report_damage(&mut self) -> Option<u64> {
+        let offset = self.window.offset;
+        self.is_news(offset).then_some(offset)
     }
 
-    fn section(&mut self) -> Result<Option<Section>, RecordingError> {
+    fn is_news(&mut self, damaged_at: u64) -> bool {
+        self.damaged_at.replace(damaged_at) != Some(damaged_at)
+    }
+
+    /// Reads the kind and content of the next record, or returns `None` at the end of the
+    /// data. A message is of a channel before it. After the first damage, which may have hit
+    /// definitions, the definitions in the file's index follow. After an error other than
+    /// [`RecordingError::Damaged`], no records follow.
+    pub(in super::super) fn next(&mut self) -> Result<Option<(u8, &[u8])>, RecordingError> {
+        if let Some((kind, place)) = self.index.as_mut().and_then(FileIndex::next_definition) {
+            let content = self.index.as_ref().map(|index| index.bytes(place)).unwrap_or_default();
+            if kind == kind::CHANNEL {
+                self.channels.extend(Fields(content).u16());
+            }
+            return Ok(Some((kind, content)));
+        }
+        while !self.is_over {
+            match self.next_place() {
+                Ok(Some((kind, content))) => return Ok(Some((kind, self.bytes(content)))),
+                Err(RecordingError::Damaged { offset, .. }) if !self.is_news(offset) => {}
+                Err(error @ RecordingError::Damaged { .. }) => {
+                    if self.index.is_none() {
+                        self.index = Some(self.read_index()?);
+                    }
+                    return Err(error);
+                }
+                Err(error) => {
+                    self.is_over = true;
+                    return Err(error);
+                }
+                Ok(None) => {
+                    self.is_over = true;
+                    let unknown = self.unknown.take();
+                    if let Some(compression) = unknown
+                        && self.chunk_bytes.compressions.is_empty()
+                    {
+                        return Err(RecordingError::Compressed { compression });
+                    }
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    /// Bytes of a range of the open chunk, or else of the latest record of the file.
+    fn bytes(&self, range: Range<usize>) -> &[u8] {
+        match self.chunk.decompressed.is_empty() {
+            true => self.window.bytes(range),
+            false => self.chunk.decompressed.get(range).unwrap_or_default(),
+        }
+    }
+
+    fn next_place(&mut self) -> Result<Option<Place>, RecordingError> {
         if !self.is_started {
             self.is_started = true;
             let magic = self.window.peek(MAGIC.len())?;
@@ -117,6 +171,9 @@ impl Sections {
             self.used = magic.len();
         }
         loop {
+            if let Some(place) = self.next_in_chunk()? {
+                return Ok(Some(place));
+            }
             self.window.advance(std::mem::take(&mut self.used));
             self.leave_out()?;
             if self.window.peek(1)?.is_empty() {
@@ -124,23 +181,23 @@ impl Sections {
             }
             let extent = self.extent()?;
             let length = extent.end.min(MAX_CHUNK_BYTES + RECORD_HEAD as u64) as usize;
-            match extent.kind {
+            let is_more = match extent.kind {
                 // Without its lengths.
-                _ if extent.fields == u64::MAX => return Ok(self.end_early()),
-                kind::CHUNK => return self.chunk(length),
+                _ if extent.fields == u64::MAX => false,
+                kind::CHUNK => self.open_chunk(length)?,
                 kind::DATA_END | kind::FOOTER => {
                     if !self.end(&extent, length)? {
                         return Ok(None);
                     }
+                    true
                 }
                 kind::HEADER..=kind::MESSAGE | kind::METADATA => {
                     return self.record(&extent, length);
                 }
-                _ => {
-                    if !self.window.skip_with(extent.end, |_| {})? {
-                        return Ok(self.end_early());
-                    }
-                }
+                _ => self.window.skip_with(extent.end, |_| {})?,
+            };
+            if !is_more {
+                return Ok(self.end_early());
             }
         }
     }
@@ -163,11 +220,7 @@ impl Sections {
     }
 
     /// Reads the record here, which has `length` bytes if the file was not cut off.
-    fn record(
-        &mut self,
-        extent: &Extent,
-        length: usize,
-    ) -> Result<Option<Section>, RecordingError> {
+    fn record(&mut self, extent: &Extent, length: usize) -> Result<Option<Place>, RecordingError> {
         if self.window.peek(length)?.len() < length {
             return Ok(self.end_early());
         }
@@ -192,7 +245,20 @@ impl Sections {
             self.unknown = None;
         }
         self.used = length;
-        Ok(Some(Section::Record { kind: extent.kind, content }))
+        self.check_channel(extent.kind, &content)?;
+        Ok(Some((extent.kind, content)))
+    }
+
+    /// Remembers the channel that a record defines, or checks that of a message.
+    fn check_channel(&mut self, kind: u8, content: &Range<usize>) -> Result<(), RecordingError> {
+        let number = Fields(self.bytes(content.clone())).u16().unwrap_or_default();
+        if kind == kind::CHANNEL {
+            self.channels.insert(number);
+        }
+        if kind == kind::MESSAGE && !self.channels.contains(&number) {
+            return Err(self.damaged("the channel of a message is not defined"));
+        }
+        Ok(())
     }
 
     /// Reads the record here, which ends the data of a file. If another file follows, skips to it and
@@ -283,58 +349,6 @@ impl Sections {
         Ok(())
     }
 
-    /// Reads the chunk here, whose record has `length` bytes if the file was not cut off.
-    fn chunk(&mut self, length: usize) -> Result<Option<Section>, RecordingError> {
-        let bytes = self.window.peek(length)?;
-        self.used = length.min(bytes.len());
-        let found = self.used;
-        let Some(head) = chunk_head(bytes) else { return Ok(self.end_early()) };
-        let is_whole = found >= head.records.end;
-        let records = if head.compression.is_empty() {
-            let end = head.records.end.min(found);
-            head.records.start.min(end)..end
-        } else {
-            self.decompress(&head, is_whole)?;
-            0..self.decompressed.len()
-        };
-        self.has_chunks = Some(true);
-        self.chunk_bytes.add(
-            &head.compression,
-            found - head.records.start.min(found),
-            records.len(),
-        );
-        // A chunk that is cut short cannot be checked.
-        self.is_truncated |= !is_whole;
-        let is_proved = is_whole && head.crc != 0;
-        if is_proved && crc32fast::hash(self.bytes(records.clone())) != head.crc {
-            return Err(self.damaged("a chunk's checksum is wrong"));
-        }
-        Ok(Some(Section::Chunk { records, is_cut: !is_whole, is_proved }))
-    }
-
-    /// Decompresses the chunk here.
-    fn decompress(&mut self, head: &ChunkHead, is_whole: bool) -> Result<(), RecordingError> {
-        let compressed = head.records.start..self.used.min(head.records.end);
-        let compressed = self.window.bytes(compressed);
-        match decompress(&head.compression, compressed, head.size, &mut self.decompressed) {
-            None => Err(self.unknown_compression(&head.compression)),
-            Some(Err(reason)) if is_whole => Err(self.damaged(reason)),
-            Some(_) => Ok(()),
-        }
-    }
-
-    /// Error of a chunk with a compression that this build does not read. The name may be damaged: then
-    /// no other chunk has it.
-    fn unknown_compression(&mut self, name: &str) -> RecordingError {
-        let is_compressed = |known: &Compression| *known != Compression::Plain;
-        let has_known = self.chunk_bytes.compressions.iter().any(is_compressed);
-        let is_second = self.unknown.replace(name.to_owned()).as_deref() == Some(name);
-        match Compression::named(name).is_some() || is_second && !has_known {
-            true => RecordingError::Compressed { compression: name.to_owned() },
-            false => self.damaged("a chunk has an unknown compression"),
-        }
-    }
-
     /// Returns true if the file has another checksum than the one in the record here, which covers
     /// all bytes before it. Not checked after damage, nor in a file with chunks, which have their
     /// own: mcap 0.26.0 writes a wrong one if its chunks have none.
@@ -346,7 +360,7 @@ impl Sections {
 
     /// Skips to the first record of a file that does not begin like MCAP. Fails if there is
     /// none nearby: a few damaged bytes do not make another kind of file.
-    fn find_first_record(&mut self) -> Result<Option<Section>, RecordingError> {
+    fn find_first_record(&mut self) -> Result<Option<Place>, RecordingError> {
         let error = self.damaged("the file does not begin with the magic bytes of MCAP");
         let is_first = |kind| {
             is_known(kind) && !matches!(kind, kind::MESSAGE | kind::MESSAGE_INDEX | kind::DATA_END)
@@ -374,7 +388,7 @@ impl Sections {
         Ok(())
     }
 
-    pub(super) fn damaged(&mut self, reason: &'static str) -> RecordingError {
+    fn damaged(&mut self, reason: &'static str) -> RecordingError {
         self.window.checksum = None;
         RecordingError::Damaged { offset: self.window.offset, reason }
     }

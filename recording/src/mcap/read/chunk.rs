@@ -1,0 +1,122 @@
+//! Reads a chunk, and the records in it.
+
+use std::ops::Range;
+
+use super::{Place, Records};
+use crate::RecordingError;
+use crate::mcap::compression::decompress;
+use crate::mcap::form::{
+    After, ChunkHead, Unmeasured, begins, chunk_head, is_known, is_well_formed, measure, next_start,
+};
+use crate::mcap::{Compression, RECORD_HEAD};
+
+/// Chunk whose records are being read.
+#[derive(Default)]
+pub(super) struct OpenChunk {
+    /// Records of a compressed chunk, else empty.
+    pub(super) decompressed: Vec<u8>,
+    /// Records that were not returned yet.
+    rest: Range<usize>,
+    /// True at the end of a cut-off file.
+    is_cut: bool,
+    /// True if a checksum proves the records.
+    is_proved: bool,
+}
+
+impl Records {
+    /// Reads the chunk here, whose record has `length` bytes if the file was not cut off. Returns false
+    /// if it was cut off within the head of the chunk.
+    pub(super) fn open_chunk(&mut self, length: usize) -> Result<bool, RecordingError> {
+        let bytes = self.window.peek(length)?;
+        self.used = length.min(bytes.len());
+        let found = self.used;
+        let Some(head) = chunk_head(bytes) else { return Ok(false) };
+        let is_whole = found >= head.records.end;
+        let records = if head.compression.is_empty() {
+            let end = head.records.end.min(found);
+            head.records.start.min(end)..end
+        } else {
+            self.decompress(&head, is_whole)?;
+            0..self.chunk.decompressed.len()
+        };
+        self.has_chunks = Some(true);
+        self.chunk_bytes.add(
+            &head.compression,
+            found - head.records.start.min(found),
+            records.len(),
+        );
+        // A chunk that is cut short cannot be checked.
+        self.is_truncated |= !is_whole;
+        let is_proved = is_whole && head.crc != 0;
+        if is_proved && crc32fast::hash(self.bytes(records.clone())) != head.crc {
+            return Err(self.damaged("a chunk's checksum is wrong"));
+        }
+        (self.chunk.rest, self.chunk.is_cut, self.chunk.is_proved) =
+            (records, !is_whole, is_proved);
+        Ok(true)
+    }
+
+    /// Decompresses the chunk here.
+    fn decompress(&mut self, head: &ChunkHead, is_whole: bool) -> Result<(), RecordingError> {
+        let compressed = head.records.start..self.used.min(head.records.end);
+        let compressed = self.window.bytes(compressed);
+        match decompress(&head.compression, compressed, head.size, &mut self.chunk.decompressed) {
+            None => Err(self.unknown_compression(&head.compression)),
+            Some(Err(reason)) if is_whole => Err(self.damaged(reason)),
+            Some(_) => Ok(()),
+        }
+    }
+
+    /// Error of a chunk with a compression that this build does not read. The name may be damaged: then
+    /// no other chunk has it.
+    fn unknown_compression(&mut self, name: &str) -> RecordingError {
+        let is_compressed = |known: &Compression| *known != Compression::Plain;
+        let has_known = self.chunk_bytes.compressions.iter().any(is_compressed);
+        let is_second = self.unknown.replace(name.to_owned()).as_deref() == Some(name);
+        match Compression::named(name).is_some() || is_second && !has_known {
+            true => RecordingError::Compressed { compression: name.to_owned() },
+            false => self.damaged("a chunk has an unknown compression"),
+        }
+    }
+
+    /// Returns the next record of the open chunk, or `None` at its end.
+    pub(super) fn next_in_chunk(&mut self) -> Result<Option<Place>, RecordingError> {
+        while !self.chunk.rest.is_empty() {
+            let rest = std::mem::take(&mut self.chunk.rest);
+            let bytes = self.bytes(rest.clone());
+            let known = bytes.len() as u64;
+            let is_cut = self.chunk.is_cut;
+            let after = if is_cut { After::EndOfFile } else { After::EndOfChunk };
+            let extent = measure(bytes, after);
+            let begins = |at, kinds| begins(bytes, after, at, kinds);
+            let next = match &extent {
+                Ok(extent) if self.chunk.is_proved => extent.end,
+                Ok(extent) => {
+                    let kinds = |at| if at == extent.end { |_| true } else { is_known };
+                    next_start(extent, known, |at| begins(at, kinds(at))).unwrap_or(known)
+                }
+                Err(Unmeasured::Needs(_)) if is_cut => continue,
+                Err(_) => {
+                    let is_here = |at: &u64| begins(*at, is_known).unwrap_or_default();
+                    (1..known).find(is_here).unwrap_or(known)
+                }
+            };
+            let start = usize::try_from(next).unwrap_or(usize::MAX).saturating_add(rest.start);
+            self.chunk.rest = start.min(rest.end)..rest.end;
+            match extent {
+                Ok(extent) if next == extent.end && next <= known => {
+                    let content = rest.start + RECORD_HEAD..rest.start + extent.fields as usize;
+                    if !is_well_formed(extent.kind, self.bytes(content.clone())) {
+                        return Err(self.damaged("a record is malformed"));
+                    }
+                    self.check_channel(extent.kind, &content)?;
+                    return Ok(Some((extent.kind, content)));
+                }
+                Ok(extent) if next == extent.end && is_cut => {}
+                _ => return Err(self.damaged("a record in a chunk has a wrong length")),
+            }
+        }
+        self.chunk.decompressed.clear();
+        Ok(None)
+    }
+}
