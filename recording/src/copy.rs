@@ -17,7 +17,7 @@ use super::messages::{Messages, lost_schema, time};
 use super::polls::StreamPolls;
 use super::range::TimeRange;
 use super::reader::parse_sensor_metadata;
-use super::record::Entry;
+use super::record::{Entry, Record};
 use super::reply::ReplyKind;
 use super::stream::Stream;
 
@@ -362,24 +362,23 @@ impl<W: Write> Copy<W> {
             let known = std::mem::take(&mut self.identity);
             for (_, (_, header, data)) in known.iter().filter(|(kind, _)| Some(**kind) != identity)
             {
-                self.message(MessageHeader { log_time, ..*header }, data)?;
+                self.message(MessageHeader { log_time, ..*header }, data, None)?;
             }
             self.identity = known;
             for latched in std::mem::take(&mut self.latched).into_messages() {
                 let LatchedMessage { header, data, record, .. } = latched;
-                self.message(MessageHeader { log_time, ..header }, &data)?;
-                record.into_iter().for_each(|record| self.polls.add(record));
+                self.message(MessageHeader { log_time, ..header }, &data, record)?;
             }
         }
-        self.message(header, data)?;
-        if let Some(record) = record {
-            self.polls.add(record);
-        }
-        self.count_scans(false);
-        Ok(())
+        self.message(header, data, record)
     }
 
-    fn message(&mut self, header: MessageHeader, data: &[u8]) -> std::io::Result<()> {
+    fn message(
+        &mut self,
+        header: MessageHeader,
+        data: &[u8],
+        record: Option<Record>,
+    ) -> std::io::Result<()> {
         let began = *self.chunk_began.get_or_insert(header.log_time);
         let is_long = header.log_time.saturating_sub(began) >= CHUNK_SPAN;
         if is_long && self.writer.has_short_index() {
@@ -387,6 +386,8 @@ impl<W: Write> Copy<W> {
             self.chunk_began = Some(header.log_time);
         }
         self.outcome.messages += 1;
+        record.into_iter().for_each(|record| self.polls.add(record));
+        self.count_scans(false);
         self.writer.message(header, data)
     }
 

@@ -13,24 +13,16 @@ use crate::event::Event;
 use crate::ros::{self, CdrError};
 
 /// Scan of ROS 1, which in ROS 2 has another name and encoding.
-const ROS1_SCAN: &[u8] = b"sensor_msgs/LaserScan";
+const ROS1_SCAN: &str = "sensor_msgs/LaserScan";
 /// Longest name of a topic of ROS 2.
 const MAX_NAME_BYTES: usize = 255;
 
 /// Message types and channels defined up to a position in a file.
 #[derive(Debug, Default)]
 pub(super) struct Messages {
-    types: HashMap<u16, Type>,
+    /// Names of the types, or empty if no message of them is read.
+    types: HashMap<u16, &'static str>,
     channels: HashMap<u16, Channel>,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Type {
-    /// Name of a type that recordings use.
-    Known(&'static str),
-    /// Scan of ROS 1.
-    Ros1Scan,
-    Other,
 }
 
 #[derive(Debug)]
@@ -58,33 +50,22 @@ pub(super) struct Unread {
 
 impl Messages {
     /// Remembers a well-formed record that defines a message type or a channel.
-    pub(super) fn define(&mut self, kind: u8, content: &[u8]) {
-        match kind {
-            kind::SCHEMA => drop(self.define_type(content)),
-            kind::CHANNEL => drop(self.define_channel(content)),
-            _ => {}
+    pub(super) fn define(&mut self, kind: u8, content: &[u8]) -> Option<()> {
+        let mut fields = Fields(content);
+        if kind == kind::SCHEMA {
+            let (id, name) = (fields.u16()?, fields.bytes()?);
+            let known = Topic::ALL.map(|topic| topic.message_type().name()).into_iter();
+            let known = known.chain([ROS1_SCAN]).find(|known| known.as_bytes() == name);
+            self.types.insert(id, known.unwrap_or_default());
+        } else if kind == kind::CHANNEL {
+            let (id, schema) = (fields.u16()?, fields.u16()?);
+            let (name, encoding) = (fields.string()?, fields.bytes()?);
+            // Other names are not of ROS.
+            let name = Some(name).filter(|name| name.len() <= MAX_NAME_BYTES).unwrap_or_default();
+            let topic = Topic::ALL.into_iter().find(|topic| topic.name() == name);
+            let encoding = encoding.get(..MAX_NAME_BYTES).unwrap_or(encoding).into();
+            self.channels.insert(id, Channel { schema, topic, name: name.into(), encoding });
         }
-    }
-
-    fn define_type(&mut self, content: &[u8]) -> Option<()> {
-        let mut fields = Fields(content);
-        let (id, name) = (fields.u16()?, fields.bytes()?);
-        let known = Topic::ALL.map(|topic| topic.message_type().name());
-        let known = known.into_iter().find(|known| known.as_bytes() == name);
-        let other = if name == ROS1_SCAN { Type::Ros1Scan } else { Type::Other };
-        self.types.insert(id, known.map_or(other, Type::Known));
-        Some(())
-    }
-
-    fn define_channel(&mut self, content: &[u8]) -> Option<()> {
-        let mut fields = Fields(content);
-        let (id, schema) = (fields.u16()?, fields.u16()?);
-        let (name, encoding) = (fields.string()?, fields.bytes()?);
-        // Other names are not of ROS.
-        let name = Some(name).filter(|name| name.len() <= MAX_NAME_BYTES).unwrap_or_default();
-        let topic = Topic::ALL.into_iter().find(|topic| topic.name() == name);
-        let encoding = encoding.get(..MAX_NAME_BYTES).unwrap_or(encoding).into();
-        self.channels.insert(id, Channel { schema, topic, name: name.into(), encoding });
         Some(())
     }
 
@@ -93,9 +74,9 @@ impl Messages {
     /// makes no difference whether a channel is repeated.
     fn topic(&self, channel: &Channel) -> Result<Topic, (LeftOutReason, String)> {
         let kind = self.types.get(&channel.schema).copied();
-        let is_a = |topic: &Topic| kind == Some(Type::Known(topic.message_type().name()));
-        let is_ros1 = kind == Some(Type::Ros1Scan)
-            || channel.topic.is_some() && &*channel.encoding == b"ros1";
+        let is_a = |topic: &Topic| kind == Some(topic.message_type().name());
+        let is_ros1 =
+            kind == Some(ROS1_SCAN) || channel.topic.is_some() && &*channel.encoding == b"ros1";
         let topic = match channel.topic {
             // Without a type, or if it was lost with a damaged part, assume the topic's own.
             Some(topic) => Some(topic).filter(|topic| kind.is_none() || is_a(topic)),

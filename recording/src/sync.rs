@@ -203,24 +203,30 @@ mod tests {
         }
     }
 
-    /// Also returns the sender of the disk's answers.
-    fn disk(
-        name: &'static str,
-        log: &mpsc::Sender<String>,
-    ) -> (Box<dyn Durable>, mpsc::Sender<io::Result<()>>) {
+    type Answers = mpsc::Sender<io::Result<()>>;
+
+    fn disk(name: &'static str, log: &mpsc::Sender<String>) -> (Box<dyn Durable>, Answers) {
         let (answer, answers) = mpsc::channel();
         (Box::new(Disk { name, log: log.clone(), answers }), answer)
+    }
+
+    /// Starts to sync a disk. Returns its log and the sender of its answers.
+    fn started(interval: Duration) -> (Syncer, mpsc::Receiver<String>, Answers) {
+        let (log, logged) = mpsc::channel();
+        let syncer = Syncer::start(interval).unwrap();
+        let (file, answer) = disk("one", &log);
+        syncer.begin(file);
+        (syncer, logged, answer)
     }
 
     #[test]
     fn a_file_is_synced_after_its_folder() {
         let (log, logged) = mpsc::channel();
         let syncer = Syncer::start(Duration::MAX).unwrap();
-        let ((one, _), (two, _)) = (disk("one", &log), disk("two", &log));
-        syncer.begin(one);
-        syncer.written().unwrap();
-        syncer.begin(two);
-        syncer.written().unwrap();
+        for name in ["one", "two"] {
+            syncer.begin(disk(name, &log).0);
+            syncer.written().unwrap();
+        }
         syncer.finish().unwrap();
         drop((log, syncer));
         let logged: Vec<String> = logged.iter().collect();
@@ -233,9 +239,8 @@ mod tests {
     /// In real time, like a disk: written bytes are synced without a further call.
     #[test]
     fn written_bytes_are_synced_once_an_interval() {
-        let (log, logged) = mpsc::channel();
-        let syncer = Syncer::start(Duration::from_millis(20)).unwrap();
-        syncer.begin(disk("one", &log).0);
+        let (syncer, logged, answer) = started(Duration::from_millis(20));
+        drop(answer);
         assert_eq!(logged.recv().unwrap(), "folder of one");
         for _ in 0..3 {
             syncer.written().unwrap();
@@ -246,10 +251,7 @@ mod tests {
 
     #[test]
     fn a_slow_disk_is_counted_and_nobody_waits_for_it() {
-        let (log, logged) = mpsc::channel();
-        let syncer = Syncer::start(Duration::ZERO).unwrap();
-        let (file, answer) = disk("one", &log);
-        syncer.begin(file);
+        let (syncer, logged, answer) = started(Duration::ZERO);
         syncer.written().unwrap();
         // The folder hangs and then the file, but each of these calls returns, and the hanging sync
         // is counted meanwhile.
@@ -268,13 +270,10 @@ mod tests {
 
     #[test]
     fn a_file_system_without_sync_fails_nothing() {
-        let (log, _logged) = mpsc::channel();
-        let syncer = Syncer::start(Duration::ZERO).unwrap();
-        let (file, answer) = disk("one", &log);
+        let (syncer, _logged, answer) = started(Duration::ZERO);
         answer.send(Ok(())).unwrap();
         // ENOSYS.
         answer.send(Err(io::ErrorKind::Unsupported.into())).unwrap();
-        syncer.begin(file);
         syncer.written().unwrap();
         // The disk is not asked again: it would not answer.
         syncer.finish().unwrap();
@@ -283,13 +282,10 @@ mod tests {
 
     #[test]
     fn a_failed_sync_fails_every_later_write() {
-        let (log, logged) = mpsc::channel();
-        let syncer = Syncer::start(Duration::ZERO).unwrap();
-        let (file, answer) = disk("one", &log);
+        let (syncer, logged, answer) = started(Duration::ZERO);
         answer.send(Ok(())).unwrap();
         answer.send(Err(io::ErrorKind::StorageFull.into())).unwrap();
         drop(answer);
-        syncer.begin(file);
         syncer.written().unwrap();
         for _ in 0..2 {
             logged.recv().unwrap();

@@ -47,7 +47,7 @@ impl Compression {
         }
     }
 
-    pub(in super::super) fn check(self) -> Result<(), RecordingError> {
+    pub(crate) fn check(self) -> Result<(), RecordingError> {
         match self.is_written() {
             true => Ok(()),
             false => Err(RecordingError::NotWritten { compression: self.to_string() }),

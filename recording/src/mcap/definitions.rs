@@ -12,7 +12,7 @@ const MAX_DEFINITION_BYTES: usize = 64 << 20;
 
 /// Schemas and channels of a file, up to a position in it.
 #[derive(Default)]
-pub(in super::super) struct Definitions {
+pub(crate) struct Definitions {
     /// Content of each, after its number.
     contents: HashMap<(u8, u16), Vec<u8>>,
     bytes: usize,
@@ -20,7 +20,7 @@ pub(in super::super) struct Definitions {
 
 impl Definitions {
     /// Remembers a well-formed schema or channel. Returns false if there is no room for it.
-    pub(in super::super) fn define(&mut self, kind: u8, content: &[u8]) -> bool {
+    pub(crate) fn define(&mut self, kind: u8, content: &[u8]) -> bool {
         let mut fields = Fields(content);
         let Some(number) = fields.u16() else { return false };
         let known = self.contents.entry((kind, number)).or_default();
@@ -35,7 +35,7 @@ impl Definitions {
     }
 
     /// Returns what a channel's definition says.
-    pub(in super::super) fn channel(&self, number: u16) -> Option<Channel<'_>> {
+    pub(crate) fn channel(&self, number: u16) -> Option<Channel<'_>> {
         let mut fields = Fields(self.get(kind::CHANNEL, number)?);
         let schema = self.get(kind::SCHEMA, fields.u16()?);
         let schema = schema.and_then(|content| Fields(content).string());
@@ -50,17 +50,17 @@ impl Definitions {
 
 /// Definition of a channel.
 #[derive(Debug)]
-pub(in super::super) struct Channel<'a> {
-    pub(in super::super) topic: &'a str,
+pub(crate) struct Channel<'a> {
+    pub(crate) topic: &'a str,
     /// Name of its schema, if it has one.
-    pub(in super::super) schema: Option<&'a str>,
-    pub(in super::super) metadata: Vec<(&'a str, &'a str)>,
+    pub(crate) schema: Option<&'a str>,
+    pub(crate) metadata: Vec<(&'a str, &'a str)>,
 }
 
 /// Writes schemas and channels with numbers of their own: equal ones have one number, and others
 /// never do.
 #[derive(Default)]
-pub(in super::super) struct DefinitionWriter {
+pub(crate) struct DefinitionWriter {
     numbers: HashMap<(u8, Vec<u8>), u16>,
     taken: HashSet<(u8, u16)>,
     bytes: usize,
@@ -70,7 +70,7 @@ impl DefinitionWriter {
     /// Returns the number of a channel, which it writes before its first use, and its schema with
     /// it. `lost_schema` may know the content of a schema that is not defined, from the channel's
     /// number and content. Returns `None` if the channel is not defined, or the file has no room for it.
-    pub(in super::super) fn channel<W: Write>(
+    pub(crate) fn channel<W: Write>(
         &mut self,
         number: u16,
         of: &Definitions,
@@ -92,7 +92,7 @@ impl DefinitionWriter {
 
     /// Writes the schemas and channels of a file that are not written yet. Returns false if the file
     /// has no room for one.
-    pub(in super::super) fn rest<W: Write>(
+    pub(crate) fn rest<W: Write>(
         &mut self,
         of: &Definitions,
         lost_schema: impl Fn(u16, &[u8]) -> Option<Vec<u8>>,

@@ -332,7 +332,7 @@ pub(super) fn is_well_formed(kind: u8, content: &[u8]) -> bool {
 }
 
 /// Splits metadata into its name and its pairs.
-pub(in super::super) fn parse_metadata(content: &[u8]) -> Option<(&str, Vec<(&str, &str)>)> {
+pub(crate) fn parse_metadata(content: &[u8]) -> Option<(&str, Vec<(&str, &str)>)> {
     let mut fields = Fields(content);
     Some((fields.string()?, map(&mut fields)?))
 }

@@ -10,7 +10,7 @@ use super::form::{After, is_well_formed, measure, record_head};
 use super::{FILE_END, FOOTER_BYTES, Fields, MAX_INDEX_BYTES, RECORD_HEAD, kind};
 
 /// Bytes of a recording, in order.
-pub(in super::super) enum Input {
+pub(crate) enum Input {
     File(File),
     /// Anything that can only be read forwards.
     Stream(Box<dyn Read + Send>),
@@ -24,7 +24,7 @@ impl Default for Input {
 
 impl Input {
     /// Knows a file by its type.
-    pub(in super::super) fn new(input: impl Read + Send + 'static) -> Self {
+    pub(crate) fn new(input: impl Read + Send + 'static) -> Self {
         let mut input = Some(input);
         let file = (&mut input as &mut dyn Any).downcast_mut::<Option<File>>();
         match (file.and_then(Option::take), input) {
@@ -56,7 +56,7 @@ impl Input {
 
 /// Records of the index at the end of a file.
 #[derive(Default)]
-pub(in super::super) struct FileIndex {
+pub(crate) struct FileIndex {
     records: Vec<u8>,
     /// Position of the next record for [`next_definition`](Self::next_definition).
     at: usize,

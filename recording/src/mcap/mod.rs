@@ -42,17 +42,17 @@ const MAX_INDEX_BYTES: usize = 16 << 20;
 
 /// Kinds of records.
 pub(super) mod kind {
-    pub(in super::super) const HEADER: u8 = 0x01;
+    pub(crate) const HEADER: u8 = 0x01;
     pub(super) const FOOTER: u8 = 0x02;
-    pub(in super::super) const SCHEMA: u8 = 0x03;
-    pub(in super::super) const CHANNEL: u8 = 0x04;
-    pub(in super::super) const MESSAGE: u8 = 0x05;
+    pub(crate) const SCHEMA: u8 = 0x03;
+    pub(crate) const CHANNEL: u8 = 0x04;
+    pub(crate) const MESSAGE: u8 = 0x05;
     pub(super) const CHUNK: u8 = 0x06;
     pub(super) const MESSAGE_INDEX: u8 = 0x07;
     pub(super) const CHUNK_INDEX: u8 = 0x08;
     pub(super) const ATTACHMENT: u8 = 0x09;
     pub(super) const STATISTICS: u8 = 0x0b;
-    pub(in super::super) const METADATA: u8 = 0x0c;
+    pub(crate) const METADATA: u8 = 0x0c;
     pub(super) const METADATA_INDEX: u8 = 0x0d;
     pub(super) const SUMMARY_OFFSET: u8 = 0x0e;
     pub(super) const DATA_END: u8 = 0x0f;

@@ -14,7 +14,7 @@ use super::{
 const CHUNK_BYTES: usize = 768 << 10;
 
 /// Writes an MCAP file.
-pub(in super::super) struct McapWriter<W> {
+pub(crate) struct McapWriter<W> {
     pub(super) out: W,
     /// Number of bytes written.
     offset: u64,
@@ -30,7 +30,7 @@ pub(in super::super) struct McapWriter<W> {
 
 /// Chunk that grows in memory.
 #[derive(Default)]
-pub(in super::super) struct OpenChunk {
+pub(crate) struct OpenChunk {
     /// Record of the chunk from its beginning. Its head is filled in at the end.
     record: Vec<u8>,
     messages: ChunkMessages,
@@ -39,11 +39,7 @@ pub(in super::super) struct OpenChunk {
 impl<W: Write> McapWriter<W> {
     /// Starts a file. `header` is the content of its header record, from [`header`]. A
     /// file with an index longer than [`MAX_INDEX_BYTES`] ends without one.
-    pub(in super::super) fn start(
-        mut out: W,
-        header: &[u8],
-        compression: Compression,
-    ) -> io::Result<Self> {
+    pub(crate) fn start(mut out: W, header: &[u8], compression: Compression) -> io::Result<Self> {
         let mut head = MAGIC.to_vec();
         put_record(&mut head, kind::HEADER, |out| out.extend_from_slice(header));
         out.write_all(&head)?;
@@ -60,42 +56,38 @@ impl<W: Write> McapWriter<W> {
 
     /// Starts a copy of other files, and repeats its channels only if they are shorter than the
     /// messages before: a hostile file has many long ones, and chunks of one message.
-    pub(in super::super) fn start_copy(
-        out: W,
-        header: &[u8],
-        compression: Compression,
-    ) -> io::Result<Self> {
+    pub(crate) fn start_copy(out: W, header: &[u8], compression: Compression) -> io::Result<Self> {
         let writer = Self::start(out, header, compression)?;
         Ok(Self { since_channels: Some(0), ..writer })
     }
 
     /// Compresses from now on, unless it does so already.
-    pub(in super::super) fn compress_at_least(&mut self, compression: Compression) {
+    pub(crate) fn compress_at_least(&mut self, compression: Compression) {
         self.compression = compression.max(self.compression);
     }
 
     /// Number of bytes written.
-    pub(in super::super) fn written(&self) -> u64 {
+    pub(crate) fn written(&self) -> u64 {
         self.offset
     }
 
     /// Length of the file so far, including the open chunk without compression.
-    pub(in super::super) fn len(&self) -> u64 {
+    pub(crate) fn len(&self) -> u64 {
         self.offset + self.chunk.record.len() as u64
     }
 
     /// Returns true while there is room for twice as many chunks in the index.
-    pub(in super::super) fn has_short_index(&self) -> bool {
+    pub(crate) fn has_short_index(&self) -> bool {
         self.index.len() < MAX_INDEX_BYTES / 2
     }
 
     /// Number of chunks and metadata records written.
-    pub(in super::super) fn index_entries(&self) -> usize {
+    pub(crate) fn index_entries(&self) -> usize {
         self.index.entries()
     }
 
     /// Writes a schema or channel, unless it was written before. `content` follows its number.
-    pub(in super::super) fn declare(&mut self, kind: u8, number: u16, content: &[u8]) {
+    pub(crate) fn declare(&mut self, kind: u8, number: u16, content: &[u8]) {
         // First, because a chunk begins with the channels known before it.
         self.begin_chunk();
         if let Some(record) = self.index.declare(kind, number, content) {
@@ -104,11 +96,7 @@ impl<W: Write> McapWriter<W> {
     }
 
     /// Adds a message to the open chunk.
-    pub(in super::super) fn message(
-        &mut self,
-        header: MessageHeader,
-        data: &[u8],
-    ) -> io::Result<()> {
+    pub(crate) fn message(&mut self, header: MessageHeader, data: &[u8]) -> io::Result<()> {
         if self.chunk.record.len() + data.len() > CHUNK_BYTES {
             self.end_chunk()?;
         }
@@ -125,7 +113,7 @@ impl<W: Write> McapWriter<W> {
     }
 
     /// Writes a metadata record.
-    pub(in super::super) fn metadata(
+    pub(crate) fn metadata(
         &mut self,
         name: &str,
         map: &BTreeMap<String, String>,
@@ -136,7 +124,7 @@ impl<W: Write> McapWriter<W> {
     }
 
     /// Writes a metadata record of this content.
-    pub(in super::super) fn copy_metadata(&mut self, name: &str, content: &[u8]) -> io::Result<()> {
+    pub(crate) fn copy_metadata(&mut self, name: &str, content: &[u8]) -> io::Result<()> {
         self.end_chunk()?;
         let mut record = Vec::new();
         put_record(&mut record, kind::METADATA, |out| out.extend_from_slice(content));
@@ -146,13 +134,13 @@ impl<W: Write> McapWriter<W> {
 
     /// Ends the open chunk and hands it to the system: from now on it survives the death
     /// of the process.
-    pub(in super::super) fn flush(&mut self) -> io::Result<()> {
+    pub(crate) fn flush(&mut self) -> io::Result<()> {
         self.end_chunk()?;
         self.out.flush()
     }
 
     /// Writes the index and the end of the file. Write nothing after it.
-    pub(in super::super) fn end(&mut self) -> io::Result<()> {
+    pub(crate) fn end(&mut self) -> io::Result<()> {
         self.end_chunk()?;
         let mut end = Vec::new();
         // CRC 0 means that it was not computed.
@@ -171,18 +159,18 @@ impl<W: Write> McapWriter<W> {
     }
 
     /// Writes the end of a file that has no room for its index, after [`end`](Self::end) has failed.
-    pub(in super::super) fn end_without_index(&mut self) -> io::Result<()> {
+    pub(crate) fn end_without_index(&mut self) -> io::Result<()> {
         self.index.leave_out();
         self.end()
     }
 
     /// Takes the open chunk, which the file has no room for.
-    pub(in super::super) fn take_chunk(&mut self) -> OpenChunk {
+    pub(crate) fn take_chunk(&mut self) -> OpenChunk {
         std::mem::take(&mut self.chunk)
     }
 
     /// Continues with the open chunk of a file that has the same channels.
-    pub(in super::super) fn put_chunk(&mut self, chunk: OpenChunk) -> io::Result<()> {
+    pub(crate) fn put_chunk(&mut self, chunk: OpenChunk) -> io::Result<()> {
         self.end_chunk()?;
         self.chunk = chunk;
         Ok(())
@@ -261,17 +249,17 @@ impl<W: Write> McapWriter<W> {
 }
 
 /// Encodes the content of a header record.
-pub(in super::super) fn header(profile: &str, library: &str) -> Vec<u8> {
+pub(crate) fn header(profile: &str, library: &str) -> Vec<u8> {
     texts([profile, library])
 }
 
 /// Encodes the content of a channel of ROS 2 without metadata, after its number.
-pub(in super::super) fn channel(schema: u16, topic: &str) -> Vec<u8> {
+pub(crate) fn channel(schema: u16, topic: &str) -> Vec<u8> {
     [&schema.to_le_bytes(), &*texts([topic, "cdr", ""])].concat()
 }
 
 /// Encodes the content of a schema of ROS 2, after its number.
-pub(in super::super) fn schema(message: &str, definition: &str) -> Vec<u8> {
+pub(crate) fn schema(message: &str, definition: &str) -> Vec<u8> {
     texts([message, "ros2msg", definition])
 }
 

@@ -36,7 +36,7 @@ fn is_data(kind: u8) -> bool {
 
 /// Reads the well-formed records of a file up to its summary, including those in chunks.
 #[derive(Default)]
-pub(in super::super) struct Records {
+pub(crate) struct Records {
     window: Window,
     /// Chunk whose records are being read.
     chunk: OpenChunk,
@@ -62,29 +62,29 @@ pub(in super::super) struct Records {
 }
 
 impl Records {
-    pub(in super::super) fn new(input: Input) -> Self {
+    pub(crate) fn new(input: Input) -> Self {
         Self { window: Window::new(input), ..Self::default() }
     }
 
     /// Continues in the next file of a recording.
-    pub(in super::super) fn continue_in(&mut self, input: Input) {
+    pub(crate) fn continue_in(&mut self, input: Input) {
         let chunk_bytes = std::mem::take(&mut self.chunk_bytes);
         *self = Self { chunk_bytes, is_truncated: self.is_truncated, ..Self::new(input) };
     }
 
     /// Returns true if a whole file was read and its end is missing.
-    pub(in super::super) fn is_truncated(&self) -> bool {
+    pub(crate) fn is_truncated(&self) -> bool {
         self.is_truncated
     }
 
     /// Bytes of the chunks so far.
-    pub(in super::super) fn chunk_bytes(&self) -> &ChunkBytes {
+    pub(crate) fn chunk_bytes(&self) -> &ChunkBytes {
         &self.chunk_bytes
     }
 
     /// Leaves out chunks without a message at these times, if the file's index lists them.
     /// Returns its definitions next: the chunks may have them.
-    pub(in super::super) fn leave_out_others(
+    pub(crate) fn leave_out_others(
         &mut self,
         times: &RangeInclusive<u64>,
     ) -> Result<(), RecordingError> {
@@ -103,7 +103,7 @@ impl Records {
 
     /// Reports the latest record as damaged. Returns its position or that of its chunk, once: however
     /// many of its records are damaged.
-    pub(in super::super) fn report_damage(&mut self) -> Option<u64> {
+    pub(crate) fn report_damage(&mut self) -> Option<u64> {
         let offset = self.window.offset;
         self.is_news(offset).then_some(offset)
     }
@@ -116,7 +116,7 @@ impl Records {
     /// data. A message is of a channel before it. After the first damage, which may have hit
     /// definitions, the definitions in the file's index follow. After an error other than
     /// [`RecordingError::Damaged`], no records follow.
-    pub(in super::super) fn next(&mut self) -> Result<Option<(u8, &[u8])>, RecordingError> {
+    pub(crate) fn next(&mut self) -> Result<Option<(u8, &[u8])>, RecordingError> {
         if let Some((kind, place)) = self.index.as_mut().and_then(FileIndex::next_definition) {
             let content = self.index.as_ref().map(|index| index.bytes(place)).unwrap_or_default();
             if kind == kind::CHANNEL {
