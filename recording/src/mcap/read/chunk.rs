@@ -12,7 +12,7 @@ use crate::mcap::{Compression, RECORD_HEAD};
 
 /// Chunk whose records are being read.
 #[derive(Default)]
-pub(super) struct OpenChunk {
+pub(super) struct ChunkRecords {
     /// Records of a compressed chunk, else empty.
     pub(super) decompressed: Vec<u8>,
     /// Records that were not returned yet.

@@ -11,7 +11,7 @@ mod end;
 use std::collections::{HashSet, VecDeque};
 use std::ops::{Range, RangeInclusive};
 
-use self::chunk::OpenChunk;
+use self::chunk::ChunkRecords;
 use super::form::{
     Extent, Kinds, is_known, is_message_index, is_well_formed, next_start, outside_chunks,
 };
@@ -39,7 +39,7 @@ fn is_data(kind: u8) -> bool {
 pub(crate) struct Records {
     window: Window,
     /// Chunk whose records are being read.
-    chunk: OpenChunk,
+    chunk: ChunkRecords,
     /// Bytes of the chunks so far.
     chunk_bytes: ChunkBytes,
     /// Name of the latest compression that this build does not read.
