@@ -6,7 +6,8 @@
 use std::hint::black_box;
 
 use divan::Bencher;
-use tokio_scip::protocol::scip2::{Command, Data, Reply, Request, Steps, Stream};
+use tokio_scip::Window;
+use tokio_scip::protocol::scip2::{Command, Data, Reply, Request, Stream};
 
 fn main() {
     let arguments: Vec<String> = std::env::args().collect();
@@ -23,7 +24,7 @@ fn main() {
 
 /// A scan of 1,081 points as a UST sends it, without its terminator.
 fn scan(data: Data) -> (Request, Vec<u8>) {
-    let stream = Stream::new(data, Steps::new(0..=1080).unwrap());
+    let stream = Stream::new(data, Window::new(0..=1080).unwrap());
     let request = Request::new(Command::Stream(stream), None);
     let mut frame = [request.bytes(), b"\n99b\n01_2b"].concat();
     let values = if data == Data::Intensities { 2 * 1081 } else { 1081 };

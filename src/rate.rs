@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
-use crate::Error;
+use crate::protocol::ParameterError;
 
 /// Resolution of the timer: a millisecond.
 const SHORTEST_PERIOD: Duration = Duration::from_millis(1);
@@ -87,10 +87,10 @@ impl From<Duration> for Rate {
 
 /// Same as [`Rate::hz`], for any number.
 impl TryFrom<f64> for Rate {
-    type Error = RateError;
+    type Error = ParameterError;
 
-    fn try_from(hz: f64) -> Result<Self, RateError> {
-        valid(hz).ok_or_else(|| RateError { found: hz.to_string() })
+    fn try_from(hz: f64) -> Result<Self, ParameterError> {
+        valid(hz).ok_or_else(|| invalid(hz))
     }
 }
 
@@ -105,31 +105,23 @@ impl fmt::Display for Rate {
     }
 }
 
-/// Error for a text or a number that is no [`Rate`].
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("invalid rate {found:?}: expected more than 0 and at most 1000 Hz, such as 10, or max")]
-pub struct RateError {
-    found: String,
-}
-
-impl From<RateError> for Error {
-    fn from(error: RateError) -> Self {
-        Self::other(error)
-    }
+fn invalid(found: impl ToString) -> ParameterError {
+    let expected = "more than 0 and at most 1000 Hz, such as 10, or max";
+    ParameterError::new("rate", expected, found)
 }
 
 /// Parses scans per second with or without the unit, such as `10`, `10Hz` or `0.5 Hz`, or
 /// `max`.
 impl FromStr for Rate {
-    type Err = RateError;
+    type Err = ParameterError;
 
-    fn from_str(text: &str) -> Result<Self, RateError> {
+    fn from_str(text: &str) -> Result<Self, ParameterError> {
         if text == "max" {
             return Ok(Self::UNLIMITED);
         }
         let number = text.strip_suffix("Hz").unwrap_or(text).trim_end();
         let hz = number.parse().ok().and_then(valid);
-        hz.ok_or_else(|| RateError { found: text.to_owned() })
+        hz.ok_or_else(|| invalid(text))
     }
 }
 
@@ -157,9 +149,9 @@ enum TextOrNumber {
 
 #[cfg(feature = "serde")]
 impl TryFrom<TextOrNumber> for Rate {
-    type Error = RateError;
+    type Error = ParameterError;
 
-    fn try_from(data: TextOrNumber) -> Result<Self, RateError> {
+    fn try_from(data: TextOrNumber) -> Result<Self, ParameterError> {
         match data {
             TextOrNumber::Number(hz) => hz.try_into(),
             TextOrNumber::Text(text) => text.parse(),

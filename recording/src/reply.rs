@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::time::SystemTime;
 
 use super::stream::Model;
-use tokio_scip::protocol::scip2::{self, Content, Data, Label, Parameters, Request, Stamp, Steps};
+use tokio_scip::protocol::scip2::{self, Content, Data, Label, Parameters, Request, Stamp};
 use tokio_scip::protocol::{Command, Reply};
 use tokio_scip::{BaudRate, Geometry, Window};
 
@@ -80,7 +80,7 @@ impl RecordedReply {
             (Some(Command::Version), _) | (_, Some(scip2::Command::Version)) => ReplyKind::Version,
             (_, Some(scip2::Command::Parameters)) => ReplyKind::Parameters,
             (Some(Command::Distances(_)), _) => ReplyKind::Poll,
-            _ if self.steps().is_some() => ReplyKind::Poll,
+            _ if self.asked().is_some() => ReplyKind::Poll,
             _ => ReplyKind::Other,
         }
     }
@@ -102,8 +102,8 @@ impl RecordedReply {
         if let Some(Command::Distances(window)) = self.command {
             return Some(window);
         }
-        let steps = self.steps()?;
-        model?.window(steps.start(), steps.end(), steps.cluster_count())
+        let asked = self.asked()?;
+        model?.window(asked.start(), asked.end(), asked.cluster_count())
     }
 
     /// Returns true for a reply that the sensor sent as a part of a stream.
@@ -112,11 +112,11 @@ impl RecordedReply {
         matches!(command, Some(scip2::Command::Stream(_)))
     }
 
-    /// Steps of a request for scans in SCIP 2.
-    fn steps(&self) -> Option<Steps> {
+    /// Window of a request for scans in SCIP 2.
+    fn asked(&self) -> Option<Window> {
         match self.request.as_ref()?.command() {
-            scip2::Command::Latest { steps, .. } => Some(*steps),
-            scip2::Command::Stream(stream) => Some(stream.steps()),
+            scip2::Command::Latest { window, .. } => Some(*window),
+            scip2::Command::Stream(stream) => Some(stream.window),
             _ => None,
         }
     }
@@ -153,7 +153,7 @@ impl RecordedReply {
             Content::Scan(scan) => Some(Values {
                 distances: scan.distances().to_vec(),
                 intensities: scan.intensities().to_vec(),
-                clock: Some(scan.stamp()),
+                clock: Some(scan.stamp),
             }),
             _ => None,
         }
@@ -201,7 +201,7 @@ impl RecordedReply {
     /// Parses a successful reply of SCIP 1.1.
     fn scip1(&self) -> Option<Reply> {
         let reply = Reply::parse(self.command.as_ref()?, self.frame()?).ok()?;
-        reply.status().is_ok().then_some(reply)
+        reply.status.is_ok().then_some(reply)
     }
 
     /// Parses a reply of SCIP 2. Only a successful one has content.
@@ -239,10 +239,10 @@ fn parse_request(text: &str) -> Option<Request> {
     };
     let number = |digits: Range<usize>| text.get(digits)?.parse::<u16>().ok();
     let scans = |data| {
-        let steps = Steps::new(number(2..6)?..=number(6..10)?).ok()?;
-        let steps = steps.with_cluster_count(number(10..12)?.try_into().ok()?).ok()?;
-        let Some(skipped) = number(12..13) else { return Some(C::Latest { data, steps }) };
-        let stream = scip2::Stream::new(data, steps).skipping(skipped.try_into().ok()?);
+        let window = Window::new(number(2..6)?..=number(6..10)?).ok()?;
+        let window = window.with_cluster_count(number(10..12)?.try_into().ok()?).ok()?;
+        let Some(skipped) = number(12..13) else { return Some(C::Latest { data, window }) };
+        let stream = scip2::Stream::new(data, window).skipping(skipped.try_into().ok()?);
         stream.ok().map(C::Stream)
     };
     let scans = [Data::Distances, Data::Intensities].into_iter().filter_map(scans);
@@ -268,9 +268,10 @@ mod tests {
             let text = command.to_string();
             assert_eq!((parse_command(&text), parse_request(&text)), (Some(command), None));
         }
-        let steps = Steps::new(3..=1080).and_then(|steps| steps.with_cluster_count(99)).unwrap();
-        let polls =
-            [Data::Distances, Data::Intensities].map(|data| scip2::Command::Latest { data, steps });
+        let window =
+            Window::new(3..=1080).and_then(|window| window.with_cluster_count(99)).unwrap();
+        let polls = [Data::Distances, Data::Intensities]
+            .map(|data| scip2::Command::Latest { data, window });
         let fixed = [scip2::Command::Version, scip2::Command::Parameters];
         for command in polls.into_iter().chain(fixed) {
             for label in [None, Label::new("00005xjj").ok()] {

@@ -13,7 +13,7 @@ pub use self::chain::ErrorChain;
 pub use self::kind::ErrorKind;
 use self::kind::Sentence;
 pub use self::operation::Operation;
-use crate::protocol::{BaudRateError, MalformedError, ReplyError, WindowError, scip2};
+use crate::protocol::{MalformedError, ParameterError, ReplyError, WindowError, scip2};
 
 /// Why an operation failed, and what to do about it.
 ///
@@ -134,8 +134,8 @@ macro_rules! convert {
     };
 }
 
-convert!(BaudRateError, MalformedError, ReplyError, WindowError);
-convert!(scip2::MalformedError, scip2::ParameterError, scip2::ReplyError);
+convert!(MalformedError, ParameterError, ReplyError, WindowError);
+convert!(scip2::MalformedError, scip2::ReplyError);
 
 impl From<std::convert::Infallible> for Error {
     fn from(never: std::convert::Infallible) -> Self {

@@ -1,7 +1,6 @@
 //! [`list`] and [`PortInfo`]: the serial ports of this machine, and which of them are
 //! likely to have a sensor.
 
-use std::fmt;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -12,36 +11,9 @@ use super::thread;
 use crate::Error;
 use crate::protocol::Text;
 
-/// Vendor and product number of a USB device, written `15d1:0000`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct UsbId {
-    /// Number of the vendor.
-    pub vendor: u16,
-    /// Number that the vendor gave the product.
-    pub product: u16,
-}
-
-impl UsbId {
-    /// Returns true for a device of Hokuyo. Known sensors have the product number 0, but no list of
-    /// all models exists.
-    pub(crate) fn is_hokuyo(self) -> bool {
-        self.vendor == 0x15d1
-    }
-}
-
-impl fmt::Display for UsbId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:04x}:{:04x}", self.vendor, self.product)
-    }
-}
-
-/// As data: its text, such as `"15d1:0000"`.
-#[cfg(feature = "serde")]
-impl serde::Serialize for UsbId {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(self)
-    }
-}
+/// Number of Hokuyo as the vendor of a USB device. Known sensors have the product number 0, but no list
+/// of all models exists.
+const HOKUYO: u16 = 0x15d1;
 
 /// Serial port of this machine, as the system describes it. Listing does not open the
 /// port.
@@ -51,9 +23,9 @@ impl serde::Serialize for UsbId {
 pub struct PortInfo {
     /// Path to open: `/dev/ttyACM0`, `COM3`. It can change when you unplug the device.
     pub path: String,
-    /// Id of the USB device that the port belongs to, if any. A sensor on a USB adapter
-    /// has the id of the adapter.
-    pub usb_id: Option<UsbId>,
+    /// Vendor and product number of the USB device that the port belongs to, if any, as `lsusb` writes
+    /// them: `15d1:0000`. A sensor on a USB adapter has the numbers of the adapter.
+    pub usb_id: Option<String>,
     /// Product name of the USB device.
     pub product: Option<Text>,
     /// Manufacturer name of the USB device.
@@ -146,15 +118,14 @@ fn port_info(port: SerialPortInfo, links: &[(String, PathBuf)]) -> PortInfo {
         SerialPortType::UsbPort(usb) => Some(usb),
         _ => None,
     };
-    let usb_id = usb.as_ref().map(|usb| UsbId { vendor: usb.vid, product: usb.pid });
     let text = |text: &Option<String>| text.as_deref().map(Text::from);
     PortInfo {
         path,
-        usb_id,
+        usb_id: usb.as_ref().map(|usb| format!("{:04x}:{:04x}", usb.vid, usb.pid)),
         product: usb.as_ref().and_then(|usb| text(&usb.product)),
         manufacturer: usb.as_ref().and_then(|usb| text(&usb.manufacturer)),
         stable_paths,
-        likely_sensor: usb_id.is_some_and(UsbId::is_hokuyo),
+        likely_sensor: usb.is_some_and(|usb| usb.vid == HOKUYO),
     }
 }
 
@@ -191,29 +162,30 @@ pub(super) fn is_same(listed: &str, path: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use tokio_serial::UsbPortInfo;
+
     use super::*;
 
-    fn port(path: &str, usb_id: Option<UsbId>) -> PortInfo {
-        PortInfo {
-            path: path.to_owned(),
-            usb_id,
-            product: None,
-            manufacturer: None,
-            stable_paths: Vec::new(),
-            likely_sensor: usb_id.is_some_and(UsbId::is_hokuyo),
-        }
+    fn port(path: &str, usb: Option<(u16, u16)>) -> SerialPortInfo {
+        let port_type = usb.map_or(SerialPortType::Unknown, |(vid, pid)| {
+            let (serial_number, manufacturer, product) = (None, None, None);
+            let info = UsbPortInfo { vid, pid, serial_number, manufacturer, product };
+            SerialPortType::UsbPort(info)
+        });
+        SerialPortInfo { port_name: path.to_owned(), port_type }
     }
 
     #[test]
     fn sensors_come_first_and_numbers_count_as_numbers() {
-        let adapter = Some(UsbId { vendor: 0x0403, product: 0x6001 });
+        let adapter = Some((0x0403, 0x6001));
         let mut ports = [
             port("/dev/ttyS0", None),
             port("/dev/ttyUSB10", adapter),
             port("/dev/ttyUSB9", adapter),
-            port("/dev/ttyACM2", Some(UsbId { vendor: 0x15d1, product: 0x0005 })),
+            port("/dev/ttyACM2", Some((0x15d1, 0x0005))),
             port("/dev/ttyACM0", adapter),
-        ];
+        ]
+        .map(|port| port_info(port, &[]));
         ports.sort_by_cached_key(order);
         assert_eq!(
             ports.map(|port| port.path),
@@ -223,7 +195,7 @@ mod tests {
 
     #[test]
     fn what_a_usb_device_says_of_itself_is_told() {
-        let usb = tokio_serial::UsbPortInfo {
+        let usb = UsbPortInfo {
             vid: 0x15d1,
             pid: 0x0000,
             serial_number: None,
@@ -234,7 +206,7 @@ mod tests {
         let port = SerialPortInfo { port_name, port_type: SerialPortType::UsbPort(usb) };
         let info = port_info(port, &[]);
         assert!(info.likely_sensor);
-        assert_eq!(info.usb_id.unwrap().to_string(), "15d1:0000");
+        assert_eq!(info.usb_id.as_deref(), Some("15d1:0000"));
         let [product, maker] =
             [info.product, info.manufacturer].map(|text| text.map(|text| text.to_string()));
         assert_eq!(product.as_deref(), Some(r"URG-Series USB Driver\n"), "escaped");

@@ -62,7 +62,7 @@ pub use endpoint::Endpoint;
 pub use hints::ConnectHints;
 pub use hints::PortHints;
 #[cfg(feature = "serial")]
-pub use list::{PortInfo, UsbId, list};
+pub use list::{PortInfo, list};
 pub use stream_port::StreamPort;
 #[cfg(feature = "tcp")]
 use tcp::TcpPort;

@@ -3,6 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use super::ParameterError;
+
 /// A baud rate that a sensor knows (C-42-3320-A p. 2 and 5).
 ///
 /// A sensor speaks [`BaudRate::B19200`] after power-up. As text, as a `u32` and as
@@ -70,21 +72,20 @@ impl fmt::Display for BaudRate {
     }
 }
 
-/// Error for a number other than the six baud rates.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("invalid baud rate {found:?}: expected 19200, 57600, 115200, 250000, 500000 or 750000")]
-pub struct BaudRateError {
-    found: String,
+/// Error for anything other than the six baud rates.
+fn invalid(found: impl ToString) -> ParameterError {
+    let expected = "19200, 57600, 115200, 250000, 500000 or 750000";
+    ParameterError::new("baud rate", expected, found)
 }
 
 impl TryFrom<u32> for BaudRate {
-    type Error = BaudRateError;
+    type Error = ParameterError;
 
-    fn try_from(bits_per_second: u32) -> Result<Self, BaudRateError> {
+    fn try_from(bits_per_second: u32) -> Result<Self, ParameterError> {
         Self::ALL
             .into_iter()
             .find(|baud_rate| baud_rate.bits_per_second() == bits_per_second)
-            .ok_or_else(|| BaudRateError { found: bits_per_second.to_string() })
+            .ok_or_else(|| invalid(bits_per_second))
     }
 }
 
@@ -95,12 +96,10 @@ impl From<BaudRate> for u32 {
 }
 
 impl FromStr for BaudRate {
-    type Err = BaudRateError;
+    type Err = ParameterError;
 
-    fn from_str(text: &str) -> Result<Self, BaudRateError> {
-        text.parse::<u32>()
-            .ok()
-            .and_then(|number| Self::try_from(number).ok())
-            .ok_or_else(|| BaudRateError { found: text.to_owned() })
+    fn from_str(text: &str) -> Result<Self, ParameterError> {
+        let number = text.parse::<u32>().map_err(|_| invalid(text))?;
+        Self::try_from(number).map_err(|_| invalid(text))
     }
 }

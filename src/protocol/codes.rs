@@ -1,16 +1,8 @@
 //! [`Codes`]: which values are no distance.
 
 /// Values that stand for "no distance", which depend on the model.
-///
-/// ```
-/// use tokio_scip::protocol::scip2::Codes;
-///
-/// assert_eq!(Codes::of(b"UTM-30LX").meaning(3), Some("interference"));
-/// assert_eq!(Codes::of(b"UTM-30LX").meaning(6), None); // a distance
-/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-#[non_exhaustive]
-pub enum Codes {
+pub(super) enum Codes {
     /// 0 to 19: URG, UBG and UHG (p. 12).
     Urg,
     /// 1 to 5: UTM on USB (p. 12).
@@ -23,7 +15,7 @@ pub enum Codes {
 
 impl Codes {
     /// Returns the codes of a model by its name, as in [`Parameters::model`](super::scip2::Parameters).
-    pub fn of(model: &[u8]) -> Self {
+    pub(super) fn of(model: &[u8]) -> Self {
         match model {
             [b'U', b'R' | b'B' | b'H', b'G', ..] => Self::Urg,
             [b'U', b'T', b'M', b'-', rest @ ..] if !rest.windows(3).any(|part| part == b"-EW") => {
@@ -36,7 +28,7 @@ impl Codes {
 
     /// Returns why `value` is no distance, or `None` if it is one. It may still be outside of
     /// [`Parameters::distances`](super::scip2::Parameters).
-    pub const fn meaning(self, value: u32) -> Option<&'static str> {
+    pub(super) const fn meaning(self, value: u32) -> Option<&'static str> {
         Some(match (self, value) {
             (Self::Urg, 0) => "an object may be at 22 m",
             (Self::Urg, 1 | 2) => "little light returned",

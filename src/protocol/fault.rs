@@ -21,7 +21,7 @@ impl MalformedError {
 
     /// Number of the line, from 0, after the status. `None` if the fault is in the status, or if a
     /// line is missing.
-    pub const fn line(&self) -> Option<usize> {
+    pub(crate) const fn line(&self) -> Option<usize> {
         self.line
     }
 

@@ -53,7 +53,7 @@ impl Measurement {
 }
 
 /// Why a distance is missing: a value that means so on this model. In SCIP 1.1 it is in 0..=19
-/// (C-42-3320-A p. 7), in SCIP 2 one of the model's [`Codes`], or a value below all distances. As
+/// (C-42-3320-A p. 7), in SCIP 2 a number that depends on the model, or a value below all distances. As
 /// data (feature `serde`) it is its number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize), serde(into = "u32"))]

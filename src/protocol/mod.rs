@@ -25,6 +25,7 @@ mod generation;
 mod geometry;
 mod malformed;
 mod measurement;
+mod parameter;
 mod reply;
 pub mod scip2;
 mod status;
@@ -34,7 +35,6 @@ mod window;
 
 #[doc(no_inline)]
 pub use baud::BaudRate;
-pub use baud::BaudRateError;
 use codes::Codes;
 pub use command::Command;
 pub use generation::Protocol;
@@ -43,6 +43,7 @@ pub use geometry::Geometry;
 pub use malformed::{MalformedError, ReplyError};
 #[doc(no_inline)]
 pub use measurement::{ErrorCode, Measurement};
+pub use parameter::ParameterError;
 pub use reply::Reply;
 pub use status::Status;
 pub use text::Text;

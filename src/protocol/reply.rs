@@ -18,7 +18,8 @@ const FIRST_PAIR: u16 = u16::from_le_bytes([FIRST_CHARACTER; 2]);
 /// Complete, well-formed reply to a [`Command`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Reply {
-    status: Status,
+    /// Status of the reply.
+    pub status: Status,
     /// Data of a successful `V`, otherwise empty.
     text: Vec<u8>,
     /// Values of a successful `G`, otherwise empty.
@@ -39,7 +40,7 @@ impl Reply {
     ///
     /// let command = Command::Distances(Window::new(384..=385)?);
     /// let reply = Reply::parse(&command, b"G38438501\n0\nCB06")?;
-    /// assert!(reply.status().is_ok());
+    /// assert!(reply.status.is_ok());
     /// assert_eq!(reply.values(), [1234, 6]);
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
@@ -92,11 +93,6 @@ impl Reply {
             .filter_map(|start| frame.get(start..))
             .find_map(|tail| Self::parse(command, tail).ok())
             .map_or_else(|| Self::parse(command, frame), Ok)
-    }
-
-    /// Status of the reply.
-    pub const fn status(&self) -> Status {
-        self.status
     }
 
     /// Values of a successful `G`, 0..=4095 each, in the order of their steps. Empty for any

@@ -103,7 +103,7 @@ impl Scan {
     /// Values as the sensor sent them, in the order of their steps: millimetres, and among them
     /// numbers that are no distance, such as an [`ErrorCode`](crate::ErrorCode). So their least is
     /// no distance either: take [`distances`](Self::distances), or
-    /// [`measurements`](Self::measurements), which tell them apart.
+    /// [`rays`](Self::rays), which tell them apart.
     pub fn raw_values(&self) -> impl ExactSizeIterator<Item = u32> + Clone + '_ {
         self.values().iter()
     }
@@ -128,7 +128,7 @@ impl Scan {
     }
 
     /// Iterates over the meanings of the values.
-    pub fn measurements(&self) -> impl ExactSizeIterator<Item = Measurement> + Clone + '_ {
+    pub(super) fn measurements(&self) -> impl ExactSizeIterator<Item = Measurement> + Clone + '_ {
         self.raw_values().map(move |value| self.meta.geometry.measurement(value))
     }
 

@@ -26,4 +26,3 @@ mod scan_stream;
 pub use self::builder::StreamBuilder;
 #[doc(no_inline)]
 pub use self::scan_stream::ScanStream;
-pub use crate::rate::RateError;

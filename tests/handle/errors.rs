@@ -3,11 +3,11 @@
 use std::error::Error as StdError;
 use std::time::Duration;
 
-use tokio_scip::protocol::{BaudRateError, Command, MalformedError, Reply, ReplyError};
+use tokio_scip::protocol::{Command, MalformedError, ParameterError, Reply, ReplyError};
 use tokio_scip::protocol::{Window, WindowError, scip2};
 use tokio_scip::scan::ScanError;
 use tokio_scip::state::StaleError;
-use tokio_scip::{BaudRate, Error, ErrorKind, Rate, Scan};
+use tokio_scip::{Error, ErrorKind, Rate, Scan};
 use urg_emulator::Emulator;
 
 use crate::common::builder;
@@ -43,7 +43,7 @@ async fn every_error_converts_with_question_mark() {
     let sensor = builder().connect(Emulator::default()).await.unwrap();
     let stale = sensor.freshness().check(Duration::ZERO).unwrap_err();
     let command = scip2::Command::LaserOn;
-    let request = scip2::Request::new(command, scip2::Labels::starting_at(0).next_label());
+    let request = scip2::Request::new(command, scip2::Label::numbered(0));
     let frame = [request.bytes(), b"\n"].concat();
     let malformed = match scip2::Reply::parse(&request, &frame).unwrap_err() {
         scip2::ReplyError::Malformed(malformed) => malformed,
@@ -51,13 +51,11 @@ async fn every_error_converts_with_question_mark() {
     };
     let mut converted = [
         convert::<WindowError>(Window::new(0..=10_000).unwrap_err()),
-        convert::<BaudRateError>(BaudRate::try_from(9600).unwrap_err()),
-        convert("0".parse::<Rate>().unwrap_err()),
+        convert::<ParameterError>("0".parse::<Rate>().unwrap_err()),
         convert::<ScanError>(Scan::builder(Window::FULL, [1]).build().unwrap_err()),
         convert::<ReplyError>(Reply::parse(&Command::Version, b"L1\n0").unwrap_err()),
         convert::<MalformedError>(MalformedError::NoData),
         convert::<StaleError>(stale),
-        convert::<scip2::ParameterError>(scip2::MotorSpeed::new(11).unwrap_err()),
         convert::<scip2::ReplyError>(scip2::ReplyError::Uam),
         convert::<scip2::MalformedError>(malformed),
     ];

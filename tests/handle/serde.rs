@@ -59,7 +59,7 @@ fn a_scan_of_another_model_has_the_same_shape() {
     assert_eq!((&data["start"], &data["end"]), (&json!(539), &json!(541)));
     assert_eq!(data["values"], json!([60_000, 65_533, 2]));
     assert_eq!(data["ranges"], json!([60.0, null, null]));
-    let measurements: Vec<Measurement> = scan.measurements().collect();
+    let measurements: Vec<Measurement> = scan.rays().map(|ray| ray.measurement).collect();
     let codes = json!([{"distance": 60_000}, {"error": 65_533}, {"error": 2}]);
     assert_eq!(serde_json::to_value(measurements).unwrap(), codes);
     assert_eq!(
@@ -117,7 +117,7 @@ fn a_window_is_deserialized_and_never_an_invalid_one() {
 
 #[tokio::test(start_paused = true)]
 async fn measurements_version_and_stats_are_data() {
-    let all: Vec<Measurement> = scan().await.measurements().collect();
+    let all: Vec<Measurement> = scan().await.rays().map(|ray| ray.measurement).collect();
     let data = serde_json::to_value(&all).unwrap();
     assert_eq!(data, json!([{"distance": 1234}, {"error": 0}, {"error": 7}, "saturated"]));
 
@@ -142,13 +142,6 @@ fn a_serialized_error_has_all_its_causes() {
     let data = serde_json::to_value(State::Closed { error: Some(error) }).unwrap();
     let text = data["error"].as_str().unwrap();
     assert!(text.ends_with(": no such device"), "{text}");
-}
-
-#[cfg(feature = "serial")]
-#[test]
-fn a_usb_id_is_serialized_as_its_text() {
-    let id = tokio_scip::port::UsbId { vendor: 0x15d1, product: 0 };
-    assert_eq!(serde_json::to_value(id).unwrap(), "15d1:0000");
 }
 
 #[tokio::test(start_paused = true)]

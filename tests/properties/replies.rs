@@ -150,7 +150,7 @@ fn compare(
     expected: Option<(u8, Vec<u16>)>,
 ) {
     let found = match found {
-        Ok(reply) => Some((char::from(reply.status()) as u8, reply.values().to_vec())),
+        Ok(reply) => Some((char::from(reply.status) as u8, reply.values().to_vec())),
         Err(error) => {
             let shown = error.to_string();
             assert!(shown.bytes().all(|byte| (b' '..=b'~').contains(&byte)), "{shown}");

@@ -1,8 +1,9 @@
 //! Replies of SCIP 2, whole and damaged. The encoder and the reference here are written from the
 //! protocol text C-42-03320B, and share no code with the crate.
 
+use tokio_scip::Window;
 use tokio_scip::protocol::scip2::{
-    Command, Content, Data, Label, Reply, ReplyError, Request, Stamp, Steps, Stream,
+    Command, Content, Data, Label, Reply, ReplyError, Request, Stamp, Stream,
 };
 
 use super::script::Script;
@@ -40,7 +41,7 @@ impl Case {
         // The last cluster may be a part.
         let last =
             first + (points as u16 - 1) * u16::from(cluster) + script.below(cluster.into()) as u16;
-        let steps = Steps::new(first..=last).unwrap().with_cluster_count(cluster).unwrap();
+        let window = Window::new(first..=last).unwrap().with_cluster_count(cluster).unwrap();
         let (data, letter, bits) = [
             (Data::Distances, 'D', 18),
             (Data::Intensities, 'E', 18),
@@ -51,9 +52,9 @@ impl Case {
         let parameters = format!("{first:04}{last:04}{cluster:02}");
         let in_microseconds = script.byte() % 2 == 1;
         let (command, echo) = if script.byte() < 128 {
-            (Command::Latest { data, steps }, format!("G{letter}{parameters}"))
+            (Command::Latest { data, window }, format!("G{letter}{parameters}"))
         } else {
-            let stream = Stream::new(data, steps).skipping(skipped).unwrap();
+            let stream = Stream::new(data, window).skipping(skipped).unwrap();
             let stream = if count > 0 { stream.ending_after(count).unwrap() } else { stream };
             let stream = if in_microseconds { stream.in_microseconds() } else { stream };
             let percent = if in_microseconds { "%" } else { "" };
@@ -184,7 +185,7 @@ pub(crate) fn only_scans_of_the_text_are_accepted(script: &[u8]) {
                 return;
             };
             let (time, distances, intensities) = case.reference(&frame).expect("a scan");
-            let stamp = match scan.stamp() {
+            let stamp = match scan.stamp {
                 Stamp::Milliseconds(time) => time.into(),
                 Stamp::Microseconds(time) => time.into(),
             };
@@ -235,9 +236,9 @@ pub(crate) fn whole_scans_are_decoded(script: &[u8]) {
     let Content::Scan(scan) = case.parse(&frame).unwrap().content else { panic!("no scan") };
     assert_eq!(scan.distances(), case.values.0);
     assert_eq!(scan.intensities(), case.values.1);
-    assert_eq!(scan.left(), case.left);
+    assert_eq!(scan.left, case.left);
     assert_eq!(
-        scan.stamp(),
+        scan.stamp,
         match case.clock {
             4 => Stamp::Milliseconds(case.stamp as u32),
             _ => Stamp::Microseconds(case.stamp),

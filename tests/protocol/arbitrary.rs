@@ -79,7 +79,7 @@ proptest! {
         let at = at.index(frame.len());
         let end = frame.len().min(at + remove);
         frame.splice(at..end, noise);
-        if Reply::parse(&Command::Distances(window), &frame).is_ok_and(|reply| reply.status().is_ok()) {
+        if Reply::parse(&Command::Distances(window), &frame).is_ok_and(|reply| reply.status.is_ok()) {
             prop_assert_eq!(shape(&frame), right);
             prop_assert!(frame[12..].iter().all(|byte| matches!(byte, b'\n' | 0x30..=0x6f)));
         }

@@ -23,7 +23,7 @@ fn accepted(command: &Command, bytes: &[u8]) -> Vec<Vec<u16>> {
     frames(bytes)
         .into_iter()
         .filter_map(|frame| Reply::parse(command, frame).ok())
-        .filter(|reply| reply.status().is_ok())
+        .filter(|reply| reply.status.is_ok())
         .map(|reply| reply.values().to_vec())
         .collect()
 }
@@ -145,7 +145,7 @@ fn w04_a_flipped_status_is_malformed_in_both_directions() {
     for status in 1..=255 {
         let refused = [b"G00003101\n", &[status][..]].concat();
         let reply = Reply::parse(&command, &refused);
-        assert!(!reply.is_ok_and(|reply| reply.status().is_ok()), "{status:#x}");
+        assert!(!reply.is_ok_and(|reply| reply.status.is_ok()), "{status:#x}");
     }
 }
 

@@ -100,10 +100,15 @@ fn check_codes(geometry: Geometry, infinite: &[u32], others: &[u32]) {
 fn each_model_has_its_own_codes() {
     let up_to_19: Vec<u32> = (0..20).collect();
     check_codes(Geometry::URG_04LX, &[0, 6, 16], &up_to_19);
-    check_codes(urg(), &[0], &up_to_19);
-    check_codes(ug01(), &[0], &up_to_19);
+    let short_range = |model| geometry(model, [20, 5600, 1024, 44, 725, 384, 600]);
+    for geometry in [urg(), ug01(), short_range("UBG-04LX-F01"), short_range("UHG-08LX")] {
+        check_codes(geometry, &[0], &up_to_19);
+    }
     check_codes(utm(), &[1], &[1, 2, 3, 4, 5]);
-    check_codes(ust(), &[65_533], &[65_533]);
+    let ethernet = |model| geometry(model, [23, 60_000, 1440, 0, 1080, 540, 2400]);
+    for geometry in [ust(), ethernet("UST-20LX"), ethernet("UTM-30LX-EW")] {
+        check_codes(geometry, &[65_533], &[65_533]);
+    }
     // A distance like any other.
     check_codes(uxm(), &[], &[]);
     for (geometry, value, text) in [

@@ -39,7 +39,7 @@ fn the_value_of_the_text_is_1234_millimetres() {
     let command = Command::Distances(window(384, 384, 1));
     let frame = [b"G38438401\n0\n", &[0x43, 0x42][..]].concat();
     let reply = Reply::parse(&command, &frame).unwrap();
-    assert!(reply.status().is_ok());
+    assert!(reply.status.is_ok());
     assert_eq!(values(&reply), [1234]);
     assert_eq!(values(&Reply::parse(&command, b"G38438401\n0\nCD").unwrap()), [1236]);
 }
@@ -169,8 +169,8 @@ fn d07_an_error_reply_is_echo_and_status_for_every_status() {
         for status in (b'!'..=b'~').filter(|&status| status != b'0') {
             let frame = [&command.bytes()[..], b"\n", &[status]].concat();
             let reply = Reply::parse(&command, &frame).unwrap();
-            assert_eq!(char::from(reply.status()), char::from(status));
-            assert!(!reply.status().is_ok());
+            assert_eq!(char::from(reply.status), char::from(status));
+            assert!(!reply.status.is_ok());
             assert_eq!(values(&reply), [0; 0]);
         }
     }
@@ -178,13 +178,13 @@ fn d07_an_error_reply_is_echo_and_status_for_every_status() {
 
 /// Status of a refusal with this character.
 fn status(character: u8) -> Status {
-    Reply::parse(&Command::LaserOn, &[b'L', b'1', b'\n', character]).unwrap().status()
+    Reply::parse(&Command::LaserOn, &[b'L', b'1', b'\n', character]).unwrap().status
 }
 
 #[test]
 fn only_version_and_distances_have_data() {
     let parse =
-        |command: Command, frame: &[u8]| Reply::parse(&command, frame).map(|reply| reply.status());
+        |command: Command, frame: &[u8]| Reply::parse(&command, frame).map(|reply| reply.status);
     let success = status(b'0');
     let speed = Command::BaudRate(BaudRate::B57600);
     assert_eq!(parse(Command::LaserOn, b"L1\n0"), Ok(success));

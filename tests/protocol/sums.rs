@@ -1,7 +1,8 @@
 //! What the sums of SCIP 2 show of damage to a scan, and what they cannot: counted over every
 //! byte, and every pair of bits of a line. The sums here share no code with the crate.
 
-use tokio_scip::protocol::scip2::{Command, Content, Data, Reply, Request, Steps};
+use tokio_scip::Window;
+use tokio_scip::protocol::scip2::{Command, Content, Data, Reply, Request};
 
 use super::encoder::indoors;
 
@@ -13,8 +14,8 @@ const LINE: usize = FULL + 2;
 
 fn request(frame: &[u8]) -> Request {
     let last = if frame.starts_with(b"GD00440725") { 725 } else { 86 };
-    let steps = Steps::new(44..=last).unwrap();
-    Request::new(Command::Latest { data: Data::Distances, steps }, None)
+    let window = Window::new(44..=last).unwrap();
+    Request::new(Command::Latest { data: Data::Distances, window }, None)
 }
 
 fn sum(text: &[u8]) -> u8 {

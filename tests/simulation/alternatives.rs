@@ -53,7 +53,7 @@ impl FramedClient {
         while let Ok(frame) = timeout_at(deadline, self.framed.next()).await {
             let Frame::Reply(frame) = frame.unwrap().unwrap() else { return None };
             match Reply::parse(&command, &frame) {
-                Ok(reply) if reply.status().is_ok() => {
+                Ok(reply) if reply.status.is_ok() => {
                     return Some(reply.values().iter().map(|value| u32::from(*value)).collect());
                 }
                 // A reply to another command.

@@ -6,16 +6,18 @@ use std::time::Duration;
 use tokio::io::AsyncWriteExt;
 use tokio::time::sleep;
 use tokio_scip::protocol::scip2::{
-    Codes, Command, Content, Data, Labels, Reply, Request, Scan, State, Steps, Stream,
+    Command, Content, Data, Label, Reply, Request, Scan, State, Stream,
 };
+use tokio_scip::{Geometry, Measurement, Window};
 use urg_emulator::{Link, Model, Room, Values, World, WorldTime};
 
 use super::{MODELS, sensor};
 use crate::listen_bytes;
 
 /// Sends a request, and returns the driver's reading of each reply.
-async fn ask(link: &mut Link, command: Command, labels: &mut Labels, replies: u8) -> Vec<Reply> {
-    let request = Request::new(command, labels.next_label());
+async fn ask(link: &mut Link, command: Command, label: &mut u64, replies: u8) -> Vec<Reply> {
+    *label += 1;
+    let request = Request::new(command, Label::numbered(*label));
     link.write_all(&[request.bytes(), b"\n"].concat()).await.unwrap();
     let mut found = Vec::new();
     for _ in 0..replies {
@@ -42,10 +44,11 @@ fn windows(model: Model) -> Vec<RangeInclusive<u16>> {
 }
 
 /// Least value of each cluster, without codes where there is a distance.
-fn clustered(values: &[u32], cluster: u8, codes: Codes) -> Vec<u32> {
+fn clustered(values: &[u32], cluster: u8, geometry: &Geometry) -> Vec<u32> {
     let groups = values.chunks(cluster.into());
     let least = |group: &[u32]| {
-        let distances = group.iter().filter(|value| codes.meaning(**value).is_none());
+        let is_code = |value: u32| matches!(geometry.measurement(value), Measurement::Error(_));
+        let distances = group.iter().filter(|value| !is_code(**value));
         distances.min().or(group.iter().min()).copied().unwrap()
     };
     groups.map(least).collect()
@@ -62,12 +65,11 @@ async fn every_window_and_cluster_is_read_as_measured() {
         };
         let emulator = sensor(model).world(world).laser(true).build();
         let mut link = emulator.link();
-        let mut labels = Labels::starting_at(1);
+        let mut label = 0;
         sleep(Duration::from_secs(1)).await;
-        let parameters = ask(&mut link, Command::Parameters, &mut labels, 1).await.remove(0);
+        let parameters = ask(&mut link, Command::Parameters, &mut label, 1).await.remove(0);
         let Content::Parameters(parameters) = parameters.content else { panic!() };
-        let codes = Codes::of(parameters.model.as_bytes());
-        assert_ne!(codes, Codes::Unknown);
+        let geometry = parameters.geometry();
 
         let has_intensities = *parameters.steps.end() == 1080;
         let kinds = [Data::Distances, Data::ShortDistances, Data::Intensities];
@@ -75,19 +77,19 @@ async fn every_window_and_cluster_is_read_as_measured() {
         for (window, cluster) in
             windows(model).into_iter().flat_map(|w| [1, 2, 3, 64, 99].map(|c| (w.clone(), c)))
         {
-            let steps = Steps::new(window.clone()).unwrap().with_cluster_count(cluster).unwrap();
+            let asked = Window::new(window.clone()).unwrap().with_cluster_count(cluster).unwrap();
             for &data in kinds {
-                let latest = Command::Latest { data, steps };
-                let one = ask(&mut link, latest, &mut labels, 1).await;
-                let stream = Stream::new(data, steps).ending_after(2).unwrap();
+                let latest = Command::Latest { data, window: asked };
+                let one = ask(&mut link, latest, &mut label, 1).await;
+                let stream = Stream::new(data, asked).ending_after(2).unwrap();
                 let stream = Command::Stream(stream);
-                let more = ask(&mut link, stream, &mut labels, 3).await;
-                assert_eq!(more[0].status.characters(), *b"00");
+                let more = ask(&mut link, stream, &mut label, 3).await;
+                assert_eq!(more[0].status.to_string(), "00");
                 let scans = one.into_iter().chain(more.into_iter().skip(1)).map(scan);
                 for scan in scans {
                     let measured: Vec<u32> = receiver.recv().unwrap();
                     let measured = &measured[usize::from(*window.start())..=(*window.end()).into()];
-                    let mut expected = clustered(measured, cluster, codes);
+                    let mut expected = clustered(measured, cluster, &geometry);
                     if data == Data::ShortDistances {
                         expected.iter_mut().for_each(|value| *value = (*value).min(4095));
                     }
@@ -100,7 +102,7 @@ async fn every_window_and_cluster_is_read_as_measured() {
                     assert_eq!(scan.intensities(), expected);
                 }
                 // The stream has switched it off.
-                ask(&mut link, Command::LaserOn, &mut labels, 1).await;
+                ask(&mut link, Command::LaserOn, &mut label, 1).await;
             }
         }
         assert!(receiver.try_recv().is_err());
@@ -117,10 +119,10 @@ async fn the_driver_reads_what_each_model_says() {
         (Model::Ust10lx, "UST-10LX", 0..=1080, 23..=60_000),
     ] {
         let mut link = sensor(model).clock(Duration::from_millis(0x12_3456), 0.0).build().link();
-        let mut labels = Labels::starting_at(1);
+        let mut label = 0;
         let mut contents = Vec::new();
         for command in [Command::Version, Command::Parameters, Command::State, Command::Clock] {
-            contents.push(ask(&mut link, command, &mut labels, 1).await.remove(0).content);
+            contents.push(ask(&mut link, command, &mut label, 1).await.remove(0).content);
         }
         let [
             Content::Version(version),

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use tokio::io::AsyncReadExt;
 use tokio::time::sleep;
-use tokio_scip::protocol::scip2::{Command, Content, Data, Reply, Request, Steps, Stream};
+use tokio_scip::Window;
+use tokio_scip::protocol::scip2::{Command, Content, Data, Reply, Request, Stream};
 use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Model};
 
 use super::sensor;
@@ -105,8 +106,8 @@ async fn a_reset_and_a_hang_up_end_a_stream() {
 
 #[tokio::test(start_paused = true)]
 async fn a_wrong_sum_is_found_by_the_driver() {
-    let steps = Steps::new(0..=1080).unwrap();
-    let stream = Command::Stream(Stream::new(Data::Intensities, steps));
+    let window = Window::new(0..=1080).unwrap();
+    let stream = Command::Stream(Stream::new(Data::Intensities, window));
     for seed in 0..50 {
         let faults = Faults::none().every(Fault::WrongSum).seed(seed);
         let mut link = ust().faults(faults).build().link();
@@ -169,8 +170,8 @@ async fn jumps_of_the_clock_are_in_the_stamps() {
 /// the answer into a scan.
 #[tokio::test(start_paused = true)]
 async fn a_state_during_a_stream_disturbs_it() {
-    let steps = Steps::new(0..=1080).unwrap();
-    let request = Request::new(Command::Stream(Stream::new(Data::Distances, steps)), None);
+    let window = Window::new(0..=1080).unwrap();
+    let request = Request::new(Command::Stream(Stream::new(Data::Distances, window)), None);
     let points = |frame: &[u8]| match Reply::parse(&request, &frame[..frame.len() - 2]) {
         Ok(Reply { content: Content::Scan(scan), .. }) => Some(scan.distances().len()),
         _ => None,

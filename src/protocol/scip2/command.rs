@@ -1,15 +1,17 @@
 //! Commands of SCIP 2 and their bytes.
 
 use std::fmt::{self, Write};
-use std::ops::RangeInclusive;
 
-use super::label::{Label, ParameterError};
-use crate::protocol::BaudRate;
+use super::Label;
+use crate::protocol::{BaudRate, ParameterError, Window};
 
 /// Characters in a full line of data, without its sum (p. 13).
 pub(super) const LINE: usize = 64;
 
 /// Command with its parameters.
+///
+/// The window of a command for scans has the sensor's own steps: [resolve](Window::resolve) one of
+/// degrees, or of all steps, with the sensor's [`Parameters::geometry`](super::Parameters::geometry).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Command {
@@ -49,7 +51,7 @@ pub enum Command {
         /// What to send for each point.
         data: Data,
         /// Steps to send.
-        steps: Steps,
+        window: Window,
     },
     /// `MD`, `MS` or `ME`, and `%MD` or `%ME`: send scans without being asked again (p. 10).
     Stream(Stream),
@@ -59,8 +61,8 @@ impl Command {
     /// What a successful scan holds for each point, and how many points, for a command with scans.
     pub(super) const fn scan(&self) -> Option<(Data, usize)> {
         match self {
-            Self::Latest { data, steps } | Self::Stream(Stream { data, steps, .. }) => {
-                Some((*data, steps.points()))
+            Self::Latest { data, window } | Self::Stream(Stream { data, window, .. }) => {
+                Some((*data, window.points()))
             }
             _ => None,
         }
@@ -109,72 +111,14 @@ impl Data {
     }
 }
 
-/// Steps to send: first, last and cluster count. Which steps a sensor measures is in its
-/// [`Parameters`](super::Parameters).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct Steps {
-    start: u16,
-    end: u16,
-    cluster_count: u8,
-}
-
-impl Steps {
-    /// Creates the selection of `steps`, each a point of its own.
-    ///
-    /// # Errors
-    ///
-    /// [`ParameterError`] if a step is above 9999 or the first after the last.
-    pub fn new(steps: RangeInclusive<u16>) -> Result<Self, ParameterError> {
-        let (start, end) = (*steps.start(), *steps.end());
-        if end > 9999 {
-            return Err(ParameterError::new("last step", "0 to 9999", end));
-        }
-        if start > end {
-            return Err(ParameterError::new("first step", "at most the last step", start));
-        }
-        Ok(Self { start, end, cluster_count: 1 })
-    }
-
-    /// Groups the same steps into clusters of `cluster_count` neighbours. The sensor sends the
-    /// smallest distance of each; unlike in SCIP 1.1, error codes do not count (p. 10).
-    ///
-    /// # Errors
-    ///
-    /// [`ParameterError`] outside of 1..=99.
-    pub fn with_cluster_count(self, cluster_count: u8) -> Result<Self, ParameterError> {
-        match cluster_count {
-            1..=99 => Ok(Self { cluster_count, ..self }),
-            found => Err(ParameterError::new("cluster count", "1 to 99", found)),
-        }
-    }
-
-    /// First step.
-    pub const fn start(&self) -> u16 {
-        self.start
-    }
-
-    /// Last step.
-    pub const fn end(&self) -> u16 {
-        self.end
-    }
-
-    /// Number of neighbouring steps that make a point, 1..=99.
-    pub const fn cluster_count(&self) -> u8 {
-        self.cluster_count
-    }
-
-    /// Number of points in a scan: steps over cluster count, rounded up.
-    pub const fn points(&self) -> usize {
-        ((self.end - self.start) as usize + 1).div_ceil(self.cluster_count as usize)
-    }
-}
-
 /// Scans that the sensor sends one after the other (p. 10). It switches the laser on, answers `00`
 /// once, and then sends a reply with status `99` for each scan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Stream {
-    data: Data,
-    steps: Steps,
+    /// What to send for each point.
+    pub data: Data,
+    /// Steps to send.
+    pub window: Window,
     skipped: u8,
     count: u8,
     in_microseconds: bool,
@@ -182,13 +126,8 @@ pub struct Stream {
 
 impl Stream {
     /// Creates a stream of every scan, until [`Command::LaserOff`].
-    pub const fn new(data: Data, steps: Steps) -> Self {
-        Self { data, steps, skipped: 0, count: 0, in_microseconds: false }
-    }
-
-    /// Steps to send.
-    pub const fn steps(&self) -> Steps {
-        self.steps
+    pub const fn new(data: Data, window: Window) -> Self {
+        Self { data, window, skipped: 0, count: 0, in_microseconds: false }
     }
 
     /// Leaves out this number of scans after each one sent.
@@ -240,12 +179,6 @@ impl MotorSpeed {
     }
 }
 
-impl fmt::Display for Steps {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:04}{:04}{:02}", self.start, self.end, self.cluster_count)
-    }
-}
-
 /// Writes the command as it is sent.
 impl fmt::Display for Command {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -265,13 +198,19 @@ impl fmt::Display for Command {
             Self::LeaveClockMode => "TM2",
             Self::BaudRate(rate) => return write!(f, "SS{:06}", rate.bits_per_second()),
             Self::MotorSpeed(MotorSpeed(speed)) => return write!(f, "CR{speed:02}"),
-            Self::Latest { data, steps } => return write!(f, "G{}{steps}", data.letter()),
-            Self::Stream(Stream { data, steps, skipped, count, in_microseconds }) => {
-                let percent = if *in_microseconds { "%" } else { "" };
-                return write!(f, "{percent}M{}{steps}{skipped}{count:02}", data.letter());
+            Self::Latest { data, window } => return write_scan(f, 'G', *data, window),
+            Self::Stream(Stream { data, window, skipped, count, in_microseconds }) => {
+                f.write_str(if *in_microseconds { "%" } else { "" })?;
+                write_scan(f, 'M', *data, window)?;
+                return write!(f, "{skipped}{count:02}");
             }
         })
     }
+}
+
+fn write_scan(f: &mut fmt::Formatter<'_>, verb: char, data: Data, window: &Window) -> fmt::Result {
+    let (start, end, cluster_count) = (window.start(), window.end(), window.cluster_count());
+    write!(f, "{verb}{}{start:04}{end:04}{cluster_count:02}", data.letter())
 }
 
 /// Command with the label that its reply must echo.
@@ -311,7 +250,7 @@ impl Request {
             return Some((0, frame.strip_prefix(self.bytes())?));
         };
         // The number of scans counts down.
-        let label_len = self.label.map_or(0, |label| label.as_bytes().len() + 1);
+        let label_len = self.label.map_or(0, |label| label.len() + 1);
         let (head, tail) = self.bytes().split_at_checked(self.bytes.length - label_len)?;
         let rest = frame.strip_prefix(head.split_last_chunk::<2>()?.0)?;
         let (&[tens @ b'0'..=b'9', ones @ b'0'..=b'9'], rest) = rest.split_first_chunk()? else {
@@ -325,11 +264,12 @@ impl Request {
     /// each scan. Returns `None` for `VV`, `PP` and `II`, which differ from sensor to sensor.
     ///
     /// ```
-    /// use tokio_scip::protocol::scip2::{Command, Data, Request, Steps, Stream};
+    /// use tokio_scip::Window;
+    /// use tokio_scip::protocol::scip2::{Command, Data, Request, Stream};
     ///
-    /// let stream = Stream::new(Data::Intensities, Steps::new(0..=1080)?);
+    /// let stream = Stream::new(Data::Intensities, Window::new(0..=1080)?);
     /// assert_eq!(Request::new(Command::Stream(stream), None).reply_len(), Some(6717));
-    /// # Ok::<(), tokio_scip::protocol::scip2::ParameterError>(())
+    /// # Ok::<(), tokio_scip::protocol::WindowError>(())
     /// ```
     pub fn reply_len(&self) -> Option<usize> {
         let characters = match &self.command {

@@ -47,9 +47,12 @@ impl Stamp {
 
 /// Scan of a reply to `G` or `M`. One allocation holds all its values.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Scan {
-    stamp: Stamp,
-    left: u8,
+    /// Time of the sensor's clock at step 0 of the scan (p. 12).
+    pub stamp: Stamp,
+    /// Number of scans that a stream with an end will still send. 0 for an endless stream.
+    pub left: u8,
     /// All distances, then all intensities.
     values: Arc<[u32]>,
     points: usize,
@@ -88,18 +91,8 @@ impl Scan {
         self.values
     }
 
-    /// Time of the sensor's clock at step 0 of the scan (p. 12).
-    pub const fn stamp(&self) -> Stamp {
-        self.stamp
-    }
-
-    /// Number of scans that a stream with an end will still send. 0 for an endless stream.
-    pub const fn left(&self) -> u8 {
-        self.left
-    }
-
     /// Distances in millimetres, 18 bits, in the order of their steps. Which values are no distance
-    /// depends on the model: see [`Codes`](super::Codes).
+    /// depends on the model: [`Geometry::measurement`](crate::Geometry::measurement) knows.
     pub fn distances(&self) -> &[u32] {
         self.values.get(..self.points).unwrap_or_default()
     }

@@ -2,28 +2,9 @@
 
 use std::fmt;
 
-use crate::protocol::Text;
+use crate::protocol::ParameterError;
 
-/// Error for a number or a text that a command cannot carry.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("invalid {parameter} \"{found}\": expected {expected}")]
-pub struct ParameterError {
-    parameter: &'static str,
-    expected: &'static str,
-    found: Text,
-}
-
-impl ParameterError {
-    pub(super) fn new(
-        parameter: &'static str,
-        expected: &'static str,
-        found: impl ToString,
-    ) -> Self {
-        Self { parameter, expected, found: found.to_string().into() }
-    }
-}
-
-/// Characters of the labels that [`Labels`] makes, six bits each.
+/// Characters of [numbered](Label::numbered) labels, six bits each.
 const DIGITS: &[u8; 64] = b"0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz._";
 
 /// Text of the host's own in a command: 1 to 16 letters, digits, blanks, `.`, `_`, `+` or `@` (p. 9).
@@ -54,46 +35,33 @@ impl Label {
         }
     }
 
-    /// Bytes of the text.
-    pub fn as_bytes(&self) -> &[u8] {
-        self.bytes.get(..self.length).unwrap_or_default()
-    }
-}
-
-impl fmt::Display for Label {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(std::str::from_utf8(self.as_bytes()).unwrap_or_default())
-    }
-}
-
-/// Source of labels that differ from each other: a number that counts up, in eight characters.
-///
-/// Two labels differ in at least two characters, because the last one is a sum of the others. So no
-/// damaged byte turns a label into another one. The numbers repeat after 4.4e12 labels.
-#[derive(Debug, Clone)]
-pub struct Labels {
-    next: u64,
-}
-
-impl Labels {
-    /// Creates a source that begins at this number. Draw it at random, so that replies to another
-    /// program, or to this one before it was restarted, match no request.
-    pub const fn starting_at(random: u64) -> Self {
-        Self { next: random }
-    }
-
-    /// Returns the next label.
-    pub fn next_label(&mut self) -> Label {
-        let (mut number, mut sum) = (self.next, 0);
-        self.next = self.next.wrapping_add(1);
-        let mut bytes = [0; Label::CAPACITY];
+    /// Creates a label of eight characters from a number: count up, and each command has a label of
+    /// its own. Begin at a random number, so that replies to another program, or to yours before it
+    /// was restarted, match no request.
+    ///
+    /// Two labels differ in at least two characters, because the last one is a sum of the others. So
+    /// no damaged byte turns a label into another one. They repeat after 4.4e12 numbers.
+    pub fn numbered(mut number: u64) -> Self {
+        let (mut bytes, mut sum) = ([0; Self::CAPACITY], 0);
         for slot in bytes.iter_mut().take(7).rev() {
             *slot = digit(number);
             sum += number % 64;
             number /= 64;
         }
         bytes[7] = digit(sum);
-        Label { bytes, length: 8 }
+        Self { bytes, length: 8 }
+    }
+
+    /// Number of bytes.
+    pub(super) const fn len(&self) -> usize {
+        self.length
+    }
+}
+
+impl fmt::Display for Label {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let text = self.bytes.get(..self.length).unwrap_or_default();
+        f.write_str(std::str::from_utf8(text).unwrap_or_default())
     }
 }
 

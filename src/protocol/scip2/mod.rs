@@ -6,12 +6,12 @@
 //! the text leaves open comes from captures of real sensors and from drivers that ran on them.
 //!
 //! ```
-//! use tokio_scip::protocol::scip2::{Command, Content, Data, Labels, Reply, Request, Steps};
+//! use tokio_scip::Window;
+//! use tokio_scip::protocol::scip2::{Command, Content, Data, Label, Reply, Request};
 //!
-//! // Draw the number at random: then no reply to another program matches a request of yours.
-//! let mut labels = Labels::starting_at(0x5eed);
-//! let steps = Steps::new(384..=385)?;
-//! let request = Request::new(Command::Latest { data: Data::Distances, steps }, labels.next_label());
+//! let window = Window::new(384..=385)?;
+//! let command = Command::Latest { data: Data::Distances, window };
+//! let request = Request::new(command, Label::numbered(0x5eed));
 //! assert_eq!(request.bytes(), b"GD0384038501;00005xjj");
 //!
 //! let frame = b"GD0384038501;00005xjj\n00P\n01_2b\n0CB>ooA";
@@ -46,12 +46,10 @@ mod malformed;
 mod reply;
 mod status;
 
-#[doc(inline)]
-pub use crate::protocol::codes::Codes;
-pub use command::{Command, Data, MotorSpeed, Request, Steps, Stream};
+pub use command::{Command, Data, MotorSpeed, Request, Stream};
 pub use data::{Scan, Stamp};
 pub use identity::{Parameters, State};
-pub use label::{Label, Labels, ParameterError};
+pub use label::Label;
 pub(crate) use lines::has_data;
 pub use malformed::{MalformedError, ReplyError};
 pub use reply::{Content, Reply};

@@ -18,7 +18,7 @@ impl Status {
     }
 
     /// Both characters.
-    pub const fn characters(self) -> [u8; 2] {
+    pub(crate) const fn characters(self) -> [u8; 2] {
         self.0
     }
 

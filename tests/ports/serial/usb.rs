@@ -12,8 +12,7 @@ use std::os::unix::fs::symlink;
 use std::path::Path;
 use std::process::Command;
 
-use tokio_scip::port::{Connect, Port};
-use tokio_scip::port::{UsbId, list};
+use tokio_scip::port::{Connect, Port, list};
 use tokio_scip::{BaudRate, Endpoint, ErrorKind, State};
 use urg_emulator::Pty;
 
@@ -84,14 +83,14 @@ fn may_make_namespaces() -> bool {
 }
 
 /// Adds a port to the system's list, of a USB device or of the mainboard.
-fn list_port(name: &str, usb_id: Option<UsbId>) {
+fn list_port(name: &str, usb_id: Option<&str>) {
     let class = Path::new("/sys/class");
     let interface = class.join("devices").join(name).join("1.0");
     fs::create_dir_all(&interface).unwrap();
     let device = interface.parent().unwrap();
-    if let Some(UsbId { vendor, product }) = usb_id {
-        fs::write(device.join("idVendor"), format!("{vendor:04x}\n")).unwrap();
-        fs::write(device.join("idProduct"), format!("{product:04x}\n")).unwrap();
+    if let Some((vendor, product)) = usb_id.and_then(|id| id.split_once(':')) {
+        fs::write(device.join("idVendor"), vendor).unwrap();
+        fs::write(device.join("idProduct"), product).unwrap();
         fs::write(device.join("product"), "URG-Series USB Driver\n").unwrap();
     }
     let subsystem = class.join(if usb_id.is_some() { "usb" } else { "pnp" });
@@ -103,7 +102,7 @@ fn list_port(name: &str, usb_id: Option<UsbId>) {
 }
 
 /// Id of URG sensors.
-const URG: UsbId = UsbId { vendor: 0x15d1, product: 0x0000 };
+const URG: &str = "15d1:0000";
 
 /// Plugs in a sensor, at this name below /dev.
 fn plug_in(name: &str, serial_number: &str) {
@@ -174,7 +173,7 @@ async fn only_an_adapter_has_a_baud_rate() {
     plug_in("ttyACM0", "H0713090");
     let line = line();
     symlink(&line.path, "/dev/ttyUSB0").unwrap();
-    list_port("ttyUSB0", Some(UsbId { vendor: 0x0403, product: 0x6001 }));
+    list_port("ttyUSB0", Some("0403:6001"));
     fs::create_dir_all("/dev/serial/by-path").unwrap();
     symlink("../../ttyACM0", "/dev/serial/by-path/usb-0:1").unwrap();
 
@@ -199,7 +198,7 @@ async fn the_list_has_sensors_first_and_no_name_without_hardware() {
         return;
     }
     assert_eq!(list().await.unwrap(), []);
-    let adapter = UsbId { vendor: 0x0403, product: 0x6001 };
+    let adapter = "0403:6001";
     let ports =
         [("ttyS0", None), ("ttyS1", None), ("ttyUSB0", Some(adapter)), ("ttyACM0", Some(URG))];
     for (name, usb_id) in ports {
@@ -215,7 +214,7 @@ async fn the_list_has_sensors_first_and_no_name_without_hardware() {
     let ports = list().await.unwrap();
     let names: Vec<_> = ports.iter().map(|port| port.path.as_str()).collect();
     assert_eq!(names, ["/dev/ttyACM0", "/dev/ttyUSB0", "/dev/ttyS0"]);
-    let ids: Vec<_> = ports.iter().map(|port| port.usb_id).collect();
+    let ids: Vec<_> = ports.iter().map(|port| port.usb_id.as_deref()).collect();
     assert_eq!(ids, [Some(URG), Some(adapter), None]);
     let product = ports[0].product.as_ref().map(ToString::to_string);
     assert_eq!(product.as_deref(), Some("URG-Series USB Driver"));

@@ -52,7 +52,7 @@ fn text(ports: &[PortInfo]) -> String {
     let width = ports.iter().map(|port| port.path.len()).max().unwrap_or_default();
     let mut text = String::new();
     for port in ports {
-        let id = port.usb_id.map(|id| id.to_string()).unwrap_or_default();
+        let id = port.usb_id.as_deref().unwrap_or_default();
         let mut line = format!("{:width$}  {id:9}", port.path);
         // `Display` escapes control characters in the strings of a USB device.
         for part in [&port.manufacturer, &port.product].into_iter().flatten() {

@@ -21,7 +21,8 @@ pub(crate) struct ScanSummary {
 impl ScanSummary {
     pub(crate) fn from_scan(scan: &Scan) -> Self {
         let mut missing = BTreeMap::new();
-        for measurement in scan.measurements().filter(|one| one.distance().is_none()) {
+        let measurements = scan.rays().map(|ray| ray.measurement);
+        for measurement in measurements.filter(|one| one.distance().is_none()) {
             missing.entry(measurement.value()).or_insert((measurement, 0)).1 += 1;
         }
         Self {

@@ -76,12 +76,12 @@ impl Scip1 {
         match judge(&command, echo, received, baud_rate, &self.line.observers) {
             Ok(reply) => {
                 self.line.is_settled = true;
-                if !reply.status().is_ok_for(&command) {
+                if !reply.status.is_ok_for(&command) {
                     self.record_refusal();
                 } else if echo == EchoKind::Unique
                     && let Some(baud_rate) = baud_rate
                 {
-                    self.check_speed(&command, baud_rate, reply.status(), &times);
+                    self.check_speed(&command, baud_rate, reply.status, &times);
                 }
                 Ok(Answer { reply, times })
             }
@@ -151,7 +151,7 @@ impl Scip1 {
 
 /// Returns the answer, or the error of `command` if the sensor refused it.
 pub(super) fn accepted(command: &Command, answer: Answer) -> Result<Answer, ExchangeError> {
-    let status = answer.reply.status();
+    let status = answer.reply.status;
     if status.is_ok_for(command) { Ok(answer) } else { Err(refusal(command, status)) }
 }
 

@@ -170,7 +170,7 @@ impl Scip1 {
 /// Looks for the reply to `command` at the end of `frame`: the bytes before it are older.
 fn judge(command: &Command, frame: FoundFrame<&[u8]>) -> Result<Status, ReplyError> {
     match frame {
-        FoundFrame::Reply(bytes) => Reply::parse_end(command, bytes).map(|reply| reply.status()),
+        FoundFrame::Reply(bytes) => Reply::parse_end(command, bytes).map(|reply| reply.status),
         FoundFrame::Overlong { bytes } => Err(MalformedError::Overlong { bytes }.into()),
     }
 }

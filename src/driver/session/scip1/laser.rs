@@ -48,7 +48,7 @@ impl Scip1 {
         command: Command,
     ) -> Result<(Option<Status>, Status), ExchangeError> {
         let status = match self.command_twice(command).await {
-            Ok(answer) => Some(answer.reply.status()),
+            Ok(answer) => Some(answer.reply.status),
             Err(ExchangeError::Command(_)) => None,
             Err(lost) => return Err(lost),
         };

@@ -131,7 +131,7 @@ impl Scip1 {
     ) -> Result<Text, ExchangeError> {
         let command = Command::BaudRate(baud_rate);
         let answer = accepted(&command, self.command(command).await?)?;
-        Ok(answer.reply.status().into())
+        Ok(answer.reply.status.into())
     }
 
     /// Does the same, and sends it once more if there was no answer.

@@ -61,7 +61,7 @@ impl Scip2<'_> {
         if self.state.is_streaming() && command != Command::LaserOff {
             self.end_stream().await?;
         }
-        let request = Request::new(command, self.state.labels.next_label());
+        let request = Request::new(command, self.state.next_label());
         let outcome = self.ask_as(&request, latency, is_probe).await;
         // If the stream still runs, its next scan has a deadline of its own.
         self.expect_scan();

@@ -23,13 +23,11 @@ use super::errors::{malformed, no_reply, not_confirmed, on_behalf_of};
 use super::line::Line;
 use super::{Acquired, Told};
 use crate::codec::FoundFrame;
-use crate::protocol::scip2::{
-    self, Command, Content, Data, Labels, Request, Scan, Stamp, Status, Steps,
-};
+use crate::protocol::scip2::{self, Command, Content, Data, Label, Request, Scan, Stamp, Status};
 use crate::protocol::{MalformedError, Protocol, Text};
 use crate::scan::Values;
 use crate::state::{ParametersReply, VersionReply};
-use crate::{BaudRate, Error, ErrorKind, Geometry, Window};
+use crate::{BaudRate, ErrorKind, Geometry, Window};
 
 /// Longest reply: `ME` of 1,081 steps has 6,717 bytes. Another program may have left a stream of
 /// these, 40 a second.
@@ -46,14 +44,15 @@ const ENTRIES: usize = 4;
 /// What is known of the sensor in SCIP 2.
 #[derive(Debug)]
 pub(super) struct State {
-    labels: Labels,
+    /// Number of the latest label.
+    label: u64,
     /// True if the sensor may send a stream that belongs to no request of this session: another
     /// program may have left it.
     has_stray_frames: bool,
     /// True if the laser is to be on again after such a stream was stopped.
     keeps_laser: bool,
     /// Smallest selection that the sensor measures.
-    one_step: Option<Steps>,
+    one_step: Option<Window>,
     geometry: Geometry,
     wants_intensities: bool,
     /// What to ask for.
@@ -73,7 +72,7 @@ impl State {
     pub(super) fn new(wants_intensities: bool) -> Self {
         Self {
             // Random, so that no reply to an earlier process matches a request.
-            labels: Labels::starting_at(fastrand::u64(..)),
+            label: fastrand::u64(..),
             has_stray_frames: false,
             keeps_laser: false,
             one_step: None,
@@ -87,6 +86,12 @@ impl State {
             was_copied: false,
         }
     }
+
+    /// Returns a label unlike the ones before.
+    fn next_label(&mut self) -> Label {
+        self.label = self.label.wrapping_add(1);
+        Label::numbered(self.label)
+    }
 }
 
 /// Line to a sensor that speaks SCIP 2.
@@ -95,16 +100,9 @@ pub(super) struct Scip2<'a> {
     pub(super) state: &'a mut State,
 }
 
-/// Converts a window of the sensor's own steps.
-fn steps(window: Window) -> Result<Steps, ExchangeError> {
-    let steps = Steps::new(window.start()..=window.end());
-    let steps = steps.and_then(|steps| steps.with_cluster_count(window.cluster_count()));
-    steps.map_err(|error| ExchangeError::Command(Error::other(error).into_kind()))
-}
-
 /// Converts a scan as the sensor sent it.
 fn acquired(scan: Scan, times: ReplyTimes) -> Acquired {
-    let told = match scan.stamp() {
+    let told = match scan.stamp {
         Stamp::Milliseconds(clock) => Some(clock),
         Stamp::Microseconds(_) => None,
     };
@@ -177,7 +175,7 @@ impl Scip2<'_> {
     pub(super) async fn stop(&mut self) -> Result<(), ExchangeError> {
         let mut failure = None;
         for _ in 0..PROBES_AT_A_BAUD_RATE {
-            let request = Request::new(Command::LaserOff, self.state.labels.next_label());
+            let request = Request::new(Command::LaserOff, self.state.next_label());
             match self.ask(&request, self.latency(&Command::LaserOff)).await {
                 Ok(_) => return Ok(()),
                 Err(ExchangeError::Command(error)) => failure = Some(error),
@@ -218,7 +216,7 @@ impl Scip2<'_> {
             return Err(self.no_data(Command::Parameters));
         };
         let first = *parameters.steps.start();
-        self.state.one_step = Steps::new(first..=first).ok();
+        self.state.one_step = Window::new(first..=first).ok();
         self.state.geometry = parameters.geometry();
         self.state.clock = SensorClock::new(self.state.geometry.revolution());
         let has_intensities = self.state.wants_intensities && parameters.has_intensities();
@@ -265,7 +263,7 @@ impl Scip2<'_> {
 
     fn one_step(&self) -> Command {
         match self.state.one_step {
-            Some(steps) => Command::Latest { data: Data::Distances, steps },
+            Some(window) => Command::Latest { data: Data::Distances, window },
             None => Command::Version,
         }
     }
@@ -281,7 +279,7 @@ impl Scip2<'_> {
             }
         }
         self.stop_stray().await?;
-        let command = Command::Latest { data: self.state.data, steps: steps(window)? };
+        let command = Command::Latest { data: self.state.data, window };
         let answer = accepted(&command, self.exchange(command, self.latency(&command)).await?)?;
         match answer.content {
             Content::Scan(scan) => Ok(acquired(scan, answer.times)),

@@ -16,7 +16,7 @@ use super::super::super::transport::{Expected, ReplyTimes};
 use super::super::errors::record_silence;
 use super::super::{Acquired, Streamed};
 use super::exchange::{accepted, find_own, is_like_a_stream, raw_reply, record_malformed, refusal};
-use super::{LIMITS, Scip2, State, acquired, steps};
+use super::{LIMITS, Scip2, State, acquired};
 use crate::codec::FoundFrame;
 use crate::protocol::scip2::{
     Command, Content, Reply, ReplyError, Request, Scan, Stamp, Status, Stream,
@@ -56,13 +56,11 @@ impl Scip2<'_> {
         if let Some(running) = &self.state.running {
             window = running.window.hull(&window);
         }
-        let baud_rate = self.line.believed_baud_rate();
-        let reply_len = || {
-            let command = Command::Stream(Stream::new(self.state.data, steps(window).ok()?));
-            Request::new(command, None).reply_len()
-        };
-        let wire_time = baud_rate
-            .zip(reply_len())
+        let command = Command::Stream(Stream::new(self.state.data, window));
+        let wire_time = self
+            .line
+            .believed_baud_rate()
+            .zip(Request::new(command, None).reply_len())
             .map_or(Duration::ZERO, |(rate, bytes)| rate.wire_time(bytes));
         let period = self.state.geometry.revolution() * (u32::from(skipped) + 1);
         wire_time <= period * LARGEST_SHARE.0 / LARGEST_SHARE.1
@@ -82,10 +80,10 @@ impl Scip2<'_> {
             self.stop().await?;
             self.state.latest = latest;
         }
-        let stream = Stream::new(self.state.data, steps(window)?).skipping(skipped);
+        let stream = Stream::new(self.state.data, window).skipping(skipped);
         let stream = stream.map_err(|error| Error::other(error).into_kind());
         let command = Command::Stream(stream.map_err(ExchangeError::Command)?);
-        let request = Request::new(command, self.state.labels.next_label());
+        let request = Request::new(command, self.state.next_label());
         let answer = self.ask(&request, self.latency(&command)).await;
         // Without an answer, nothing tells whether the sensor sends one.
         self.state.has_stray_frames |= answer.is_err();
@@ -103,7 +101,7 @@ impl Scip2<'_> {
     /// Ends the stream, if one runs. The laser stays on.
     pub(in super::super) async fn end_stream(&mut self) -> Result<(), ExchangeError> {
         self.stop().await?;
-        let request = Request::new(Command::LaserOn, self.state.labels.next_label());
+        let request = Request::new(Command::LaserOn, self.state.next_label());
         match self.ask(&request, self.latency(request.command())).await {
             // The next request shows whether the laser is on.
             Ok(_) | Err(ExchangeError::Command(_)) => Ok(()),
@@ -260,16 +258,16 @@ impl State {
 
     /// Lets a scan wait, unless it is a copy of the latest one, or comes after a newer one.
     fn add_scan(&mut self, running: Running, scan: Scan, times: ReplyTimes, shared: &Shared) {
-        let latest = self.latest.replace((scan.stamp(), times.received));
+        let latest = self.latest.replace((scan.stamp, times.received));
         if let Some((stamp, received)) = latest {
             let revolution = self.geometry.revolution();
             let is_soon = times.began.duration_since(received) < revolution / 2;
             // One copy may come late. More than one are scans of a clock that stands still.
-            let was_copied = std::mem::replace(&mut self.was_copied, stamp == scan.stamp());
-            let is_copy = match stamp == scan.stamp() {
+            let was_copied = std::mem::replace(&mut self.was_copied, stamp == scan.stamp);
+            let is_copy = match stamp == scan.stamp {
                 true => is_soon || !was_copied,
                 // At its own time, it is the first scan after a jump of the clock.
-                false => is_soon && between(scan.stamp(), stamp) < LONGEST_GAP,
+                false => is_soon && between(scan.stamp, stamp) < LONGEST_GAP,
             };
             if is_copy {
                 self.latest = Some((stamp, times.received));
@@ -277,9 +275,9 @@ impl State {
                 return;
             }
             let period = revolution * (u32::from(running.skipped) + 1);
-            shared.counters.stats().lost += lost(stamp, scan.stamp(), period);
+            shared.counters.stats().lost += lost(stamp, scan.stamp, period);
         }
-        let (window, stamp) = (running.window, scan.stamp());
+        let (window, stamp) = (running.window, scan.stamp);
         let mut acquired = acquired(scan, times);
         let mut lateness = Duration::ZERO;
         if let Some(told) = acquired.told.as_deref_mut().filter(|_| !times.is_replayed) {
