@@ -28,7 +28,7 @@ const MAX_DECIMALS: usize = 20;
 /// use tokio_scip::Rate;
 ///
 /// assert_eq!("10 Hz".parse(), Ok(Rate::hz(10.0)));
-/// assert_eq!(Rate::from(Duration::from_millis(100)), Rate::hz(10.0));
+/// assert_eq!(Rate::every(Duration::from_millis(100)), Rate::hz(10.0));
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(try_from = "TextOrNumber"))]
@@ -75,13 +75,6 @@ impl Rate {
     /// [`Rate::UNLIMITED`].
     pub fn is_reached_by(self, hz: f64) -> bool {
         self.0.is_none_or(|period| hz * period.as_secs_f64() >= REACHED)
-    }
-}
-
-/// Same as [`Rate::every`].
-impl From<Duration> for Rate {
-    fn from(period: Duration) -> Self {
-        Self::every(period)
     }
 }
 

@@ -207,6 +207,6 @@ impl MotorClock {
 }
 
 /// Duration of these seconds, or zero if they are negative.
-fn duration(seconds: f64) -> Duration {
+pub(super) fn duration(seconds: f64) -> Duration {
     Duration::try_from_secs_f64(seconds).unwrap_or_default()
 }

@@ -22,7 +22,7 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-use super::motor_clock::Revolution;
+use super::motor_clock::{Revolution, duration};
 use crate::stats::MotorStats;
 
 /// Number of scans that each fit remembers, and the longest time in seconds that it remembers the motor:
@@ -251,9 +251,4 @@ impl Lines {
         let lateness = (!self.has_moved).then(|| duration(arrived - self.motor.value));
         Revolution { lateness, period: Some(duration(self.motor.slope)) }
     }
-}
-
-/// Duration of these seconds, or zero if they are negative.
-fn duration(seconds: f64) -> Duration {
-    Duration::try_from_secs_f64(seconds).unwrap_or_default()
 }

@@ -22,7 +22,6 @@
 //! ```
 
 mod any_connect;
-mod attached;
 mod connector;
 #[cfg(feature = "tcp")]
 mod dial;
@@ -55,7 +54,6 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use crate::{BaudRate, Error};
 
 pub(crate) use any_connect::AnyConnect;
-pub(crate) use attached::Attached;
 #[doc(no_inline)]
 pub use endpoint::Endpoint;
 #[doc(hidden)]
@@ -128,7 +126,7 @@ impl<P: Port + ?Sized> Port for Box<P> {
 
 /// Opens a port: at the start, and again after each loss of the link.
 ///
-/// ```
+/// ```no_run
 /// # #[cfg(unix)] {
 /// use std::path::PathBuf;
 /// use tokio::net::UnixStream;
@@ -149,24 +147,10 @@ impl<P: Port + ?Sized> Port for Box<P> {
 ///     }
 /// }
 ///
-/// # #[tokio::main(flavor = "current_thread")]
-/// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// # let folder = std::env::temp_dir().join(format!("scip-socket-{}", std::process::id()));
-/// # std::fs::create_dir_all(&folder)?;
-/// # let path = folder.join("sensor");
-/// # let listener = tokio::net::UnixListener::bind(&path)?;
-/// # tokio::spawn(async move {
-/// #     let emulator = urg_emulator::Emulator::default();
-/// #     while let Ok((client, _)) = listener.accept().await {
-/// #         let _ = emulator.serve(client).await;
-/// #     }
-/// # });
-/// let sensor = Sensor::builder().connect(Socket(path)).await?;
-/// # assert_eq!(sensor.version().await?.product, "SOKUIKI Sensor URG-04LX");
-/// # std::fs::remove_dir_all(folder)?;
+/// # async fn open() -> Result<(), Error> {
+/// let sensor = Sensor::builder().connect(Socket("/run/sensor".into())).await?;
 /// # Ok(())
 /// # }
-/// # main().unwrap();
 /// # }
 /// ```
 pub trait Connect: Send + 'static {
@@ -199,25 +183,7 @@ pub trait Connect: Send + 'static {
     }
 }
 
-/// Closure that opens a port.
-///
-/// ```
-/// # #[cfg(unix)] {
-/// # #[tokio::main(flavor = "current_thread", start_paused = true)]
-/// # async fn main() -> Result<(), tokio_scip::Error> {
-/// # let emulator = urg_emulator::Emulator::default();
-/// use tokio_scip::Sensor;
-///
-/// let sensor = Sensor::builder().connect(move || {
-///     let link = emulator.link();
-///     async { Ok(link) }
-/// });
-/// # assert_eq!(sensor.await?.version().await?.product, "SOKUIKI Sensor URG-04LX");
-/// # Ok(())
-/// # }
-/// # main().unwrap();
-/// # }
-/// ```
+/// Closure that opens a port, as in the example of [this module](self).
 impl<F, T, P> Connect for F
 where
     F: FnMut() -> T + Send + 'static,

@@ -15,29 +15,13 @@ use super::lookup::Lookup;
 use super::{Port, PortHints};
 use crate::BaudRate;
 
-/// TCP connection to a server that passes bytes to and from a sensor, such as `ser2net`
-/// in raw mode or `urg emulate --tcp`.
+/// TCP connection to a sensor on Ethernet, or to a server that passes bytes to and from a serial line,
+/// such as `ser2net` in raw mode or `urg emulate --tcp`. It cannot change the baud rate of that line.
 ///
-/// Do not use a Telnet server: it doubles the byte 0xFF and sends commands of its own.
-/// You cannot change the baud rate of the line behind the server from here, so
-/// [`poll_set_baud_rate`](Port::poll_set_baud_rate) fails with [`io::ErrorKind::Unsupported`].
-///
-/// Written bytes are sent at once (`TCP_NODELAY`).
-///
-/// # A server that disappears
-///
-/// A server that closes or resets the connection ends reads at once. A server can also
-/// disappear silently (power cut, cable pulled). While scans are polled, the driver
-/// notices it by a missed deadline. On an idle connection the system probes the server
-/// after 10 s without traffic, and resets the connection after three probes without an
-/// answer, at most 25 s in all (`SO_KEEPALIVE`). The probes cost six packets of 66 bytes
-/// a minute in each direction. The driver's own probe
-/// ([`SensorBuilder::idle_probe`](crate::SensorBuilder::idle_probe)) also notices a
-/// live server whose sensor does not answer. Android, FreeBSD, Linux, macOS and
-/// Windows use these settings. Other systems choose the number and the interval of the
-/// probes themselves; Windows before version 1703 of Windows 10 chooses the number.
-///
-/// Dropping the port closes the connection without waiting.
+/// The system notices a server that has disappeared silently by its [probes](keepalive), six packets of
+/// 66 bytes a minute in each direction. The driver's own probe
+/// ([`SensorBuilder::idle_probe`](crate::SensorBuilder::idle_probe)) also notices a live server whose
+/// sensor does not answer.
 #[derive(Debug)]
 pub(super) struct TcpPort {
     stream: TcpStream,
@@ -46,20 +30,11 @@ pub(super) struct TcpPort {
 }
 
 impl TcpPort {
-    /// Connects to `host` (a name or an address) and `port`: a server with a serial line
-    /// at `baud_rate`, or a sensor on Ethernet.
-    ///
-    /// Tries the addresses of a name as RFC 8305 describes: IPv6 and IPv4 in turn, the
-    /// next one after 250 ms or after a failure. Uses the first one that accepts.
+    /// Connects to `host` (a name or an address) and `port`, by the first of its addresses that
+    /// [accepts](connect_first). `baud_rate` is the serial line's, if there is one.
     ///
     /// Only the system limits the time, to about two minutes on Linux; a
-    /// [`Sensor`](crate::Sensor) has its open timeout. Cancel-safe: dropping the future
-    /// closes all connections it has opened.
-    ///
-    /// # Errors
-    ///
-    /// Fails with the system's error (refused, unreachable, no such host), or the list of
-    /// addresses with the error of each.
+    /// [`Sensor`](crate::Sensor) has its open timeout.
     pub(super) async fn connect(
         lookup: &mut Lookup,
         host: &str,
@@ -91,7 +66,7 @@ fn keep_alive(socket: &SockRef<'_>, settings: &TcpKeepalive) {
 }
 
 /// Probes a connection after 10 s without traffic, and resets it after three probes without an
-/// answer, 5 s apart. Some systems do not have the last two socket options.
+/// answer, 5 s apart. Some systems choose the number and the interval of the probes themselves.
 fn keepalive() -> TcpKeepalive {
     let settings = TcpKeepalive::new().with_time(Duration::from_secs(10));
     #[cfg(any(

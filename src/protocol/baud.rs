@@ -44,18 +44,6 @@ impl BaudRate {
         }
     }
 
-    /// Six ASCII digits for the `S` command (p. 5): `057600` for 57,600 bit/s.
-    pub(crate) const fn digits(self) -> [u8; 6] {
-        match self {
-            Self::B19200 => *b"019200",
-            Self::B57600 => *b"057600",
-            Self::B115200 => *b"115200",
-            Self::B250000 => *b"250000",
-            Self::B500000 => *b"500000",
-            Self::B750000 => *b"750000",
-        }
-    }
-
     /// Time that `bytes` bytes take on the line: 10 bits each (8 data bits, no parity,
     /// one start and one stop bit, p. 2).
     pub(crate) const fn wire_time(self, bytes: usize) -> std::time::Duration {

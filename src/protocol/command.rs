@@ -48,7 +48,7 @@ impl Command {
             Self::LaserOff => out.push(b"L0"),
             Self::BaudRate(baud_rate) => {
                 out.push(b"S");
-                out.push(&baud_rate.digits());
+                out.push(&digits::<6>(baud_rate.bits_per_second()));
                 out.push(RESERVED);
             }
             Self::Distances(window) => out.push(&distances(window)),
@@ -130,13 +130,13 @@ impl Deref for CommandBytes {
 fn distances(window: &Window) -> [u8; 9] {
     let [a, b, c] = digits(window.start().min(LAST));
     let [d, e, f] = digits(window.end().min(LAST));
-    let [g, h] = digits(u16::from(window.cluster_count()));
+    let [g, h] = digits(window.cluster_count());
     [b'G', a, b, c, d, e, f, g, h]
 }
 
 /// Formats `number` as `N` decimal digits, with leading zeros.
-fn digits<const N: usize>(mut number: u16) -> [u8; N] {
-    let mut out = [b'0'; N];
+fn digits<const N: usize>(number: impl Into<u32>) -> [u8; N] {
+    let (mut out, mut number) = ([b'0'; N], number.into());
     for slot in out.iter_mut().rev() {
         *slot = b'0' + (number % 10) as u8;
         number /= 10;

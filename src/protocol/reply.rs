@@ -34,16 +34,6 @@ impl Reply {
     /// Returns a [`ReplyError`] unless the frame is exactly what a SCIP 1.1 sensor
     /// answers to this command: the same bytes back, a status of one character, data of
     /// the right shape after success, and no data after any other status.
-    ///
-    /// ```
-    /// use tokio_scip::protocol::{Command, Reply, Window};
-    ///
-    /// let command = Command::Distances(Window::new(384..=385)?);
-    /// let reply = Reply::parse(&command, b"G38438501\n0\nCB06")?;
-    /// assert!(reply.status.is_ok());
-    /// assert_eq!(reply.values(), [1234, 6]);
-    /// # Ok::<(), Box<dyn std::error::Error>>(())
-    /// ```
     pub fn parse(command: &Command, frame: &[u8]) -> Result<Self, ReplyError> {
         let rest = match command.strip_echo(frame) {
             Some([b'\n', rest @ ..]) => rest,

@@ -1,18 +1,7 @@
 //! Scans: the values of one reply to `G`, with their geometry and times.
 //!
-//! Rays and points come from the scan itself. A [`Pose`] moves points to another frame.
-//!
-//! The driver makes a [`Scan`]. To test a function that takes a `&Scan`, make one from
-//! any values with a [`ScanBuilder`].
-//!
-//! ```
-//! use tokio_scip::{Scan, Window};
-//!
-//! // Millimetres; values below 20 are error codes.
-//! let scan = Scan::builder(Window::new(383..=385)?, [900, 0, 1250]).build()?;
-//! assert_eq!(scan.ranges().collect::<Vec<_>>(), [0.9, f32::INFINITY, 1.25]);
-//! # Ok::<(), Box<dyn std::error::Error>>(())
-//! ```
+//! Rays and points come from the scan itself. A [`Pose`] moves points to another frame. To test a
+//! function that takes a `&Scan`, make one from any values with a [`ScanBuilder`].
 
 mod angles;
 mod builder;

@@ -1,5 +1,6 @@
 //! [`SensorBuilder`]: the settings with which a sensor is opened and kept open.
 
+use std::io;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,9 +10,9 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use super::Sensor;
 use crate::RawReply;
 use crate::driver::{self, Config, Driver, IdleProbe};
-use crate::port::{Attached, Connect, Endpoint};
+use crate::port::{Connect, Endpoint, StreamPort};
 use crate::protocol::{Protocol, Text};
-use crate::{BaudRate, Error, State};
+use crate::{BaudRate, Error, ErrorKind, State};
 
 /// Longest time that you can set, so that no instant overflows.
 const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
@@ -114,18 +115,6 @@ impl SensorBuilder {
     /// An error that waiting cannot remedy, such as
     /// [`PermissionDenied`](crate::ErrorKind::PermissionDenied), ends the driver when it repeats, and
     /// fails every call from then on.
-    ///
-    /// ```
-    /// # use std::time::Duration;
-    /// # use tokio_scip::{Rate, Sensor, Window};
-    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
-    /// # async fn main() -> Result<(), tokio_scip::Error> {
-    /// let sensor = Sensor::builder().wait_for_sensor(true).open("serial:H0713090").await?;
-    /// let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
-    /// assert!(scans.freshness().check(Duration::from_millis(500)).is_err()); // no scan yet
-    /// # Ok(())
-    /// # }
-    /// ```
     pub fn wait_for_sensor(mut self, wait: bool) -> Self {
         self.config.wait_for_sensor = wait;
         self
@@ -242,15 +231,8 @@ impl SensorBuilder {
         self
     }
 
-    /// Opens `endpoint`, see [`Sensor::open`].
-    ///
-    /// # Errors
-    ///
-    /// See [`Sensor::open`]. Dropping this future closes the port.
-    ///
-    /// # Panics
-    ///
-    /// Outside of a tokio runtime, as `tokio::spawn` does.
+    /// Opens `endpoint`, with the errors and the panic of [`Sensor::open`]. Dropping this future closes
+    /// the port.
     pub async fn open<E>(self, endpoint: E) -> Result<Sensor, Error>
     where
         E: TryInto<Endpoint>,
@@ -264,31 +246,23 @@ impl SensorBuilder {
     /// Opens the sensor behind an open byte stream: a socket, a pipe, an emulated sensor. The
     /// stream has no baud rate and is never reopened: when it ends, the driver ends.
     ///
-    /// # Errors
-    ///
-    /// The same as [`Sensor::open`], except the errors of opening a port.
-    ///
-    /// # Panics
-    ///
-    /// Outside of a tokio runtime, as `tokio::spawn` does.
+    /// Fails and panics as [`Sensor::open`] does, but for the errors of opening a port.
     pub async fn attach<T>(mut self, stream: T) -> Result<Sensor, Error>
     where
         T: AsyncRead + AsyncWrite + Send + Unpin + 'static,
     {
         self.config.reconnect = false;
         self.config.wait_for_sensor = false;
-        self.connect(Attached::new(stream)).await
+        let mut stream = Some(stream);
+        let open_once = move || {
+            let gone = || ErrorKind::disconnected(Some(io::ErrorKind::BrokenPipe.into()));
+            std::future::ready(stream.take().map(StreamPort).ok_or_else(|| gone().into()))
+        };
+        self.connect(open_once).await
     }
 
-    /// Opens a sensor through your own [`Connect`]. Spawns the driver on the current tokio runtime.
-    ///
-    /// # Errors
-    ///
-    /// See [`Sensor::open`]. Dropping this future closes the port.
-    ///
-    /// # Panics
-    ///
-    /// Outside of a tokio runtime, as `tokio::spawn` does.
+    /// Opens a sensor through your own [`Connect`], with the errors and the panic of [`Sensor::open`].
+    /// Dropping this future closes the port.
     pub async fn connect(self, connect: impl Connect) -> Result<Sensor, Error> {
         let waits = self.config.wait_for_sensor;
         opened(self.build(connect), waits).await

@@ -197,19 +197,6 @@ impl Sensor {
     /// and `VV`, if there is a link. From then on the driver calls it in its task, as it calls the observers of
     /// [`on_reply`](SensorBuilder::on_reply). Drop the observation to end it. A call that has begun
     /// on another thread may return after that.
-    ///
-    /// ```
-    /// # use tokio_scip::{Sensor, Window};
-    /// # use urg_emulator::Emulator;
-    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
-    /// # async fn main() -> Result<(), tokio_scip::Error> {
-    /// let sensor = Sensor::builder().connect(Emulator::default()).await?;
-    /// let observation = sensor.observe_replies(|reply| println!("{} bytes", reply.bytes.len()));
-    /// sensor.scan(Window::DETECTION).await?;
-    /// drop(observation);
-    /// # Ok(())
-    /// # }
-    /// ```
     pub fn observe_replies(
         &self,
         observer: impl Fn(RawReply<'_>) + Send + Sync + 'static,

@@ -1,19 +1,5 @@
 //! Whether a sensor is connected and its scans are good: [`State`], [`StateWatch`] to await a
 //! change, and [`Freshness`] to check against a limit.
-//!
-//! ```
-//! # use urg_emulator::Emulator;
-//! use std::time::Duration;
-//! use tokio_scip::{Sensor, Window};
-//!
-//! # #[tokio::main(flavor = "current_thread", start_paused = true)]
-//! # async fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! # let sensor = Sensor::builder().connect(Emulator::default()).await?;
-//! sensor.scan(Window::DETECTION).await?;
-//! sensor.freshness().check(Duration::from_millis(500))?;
-//! # Ok(())
-//! # }
-//! ```
 
 mod closing;
 mod counters;

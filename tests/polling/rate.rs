@@ -70,9 +70,3 @@ fn a_rate_as_text_is_the_same_rate_again() {
         assert_eq!(rate.to_string().parse(), Ok(rate), "{rate}");
     }
 }
-
-#[test]
-fn a_duration_becomes_the_rate_of_its_period() {
-    assert_eq!(Rate::from(Duration::from_millis(100)), Rate::hz(10.0));
-    assert_eq!(Rate::from(Duration::ZERO), Rate::every(Duration::ZERO));
-}

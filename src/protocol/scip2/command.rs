@@ -262,15 +262,6 @@ impl Request {
 
     /// Length in bytes of a successful reply, terminator included: for a [`Stream`] the length of
     /// each scan. Returns `None` for `VV`, `PP` and `II`, which differ from sensor to sensor.
-    ///
-    /// ```
-    /// use tokio_scip::Window;
-    /// use tokio_scip::protocol::scip2::{Command, Data, Request, Stream};
-    ///
-    /// let stream = Stream::new(Data::Intensities, Window::new(0..=1080)?);
-    /// assert_eq!(Request::new(Command::Stream(stream), None).reply_len(), Some(6717));
-    /// # Ok::<(), tokio_scip::protocol::WindowError>(())
-    /// ```
     pub fn reply_len(&self) -> Option<usize> {
         let characters = match &self.command {
             Command::Version | Command::Parameters | Command::State => return None,
