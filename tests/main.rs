@@ -13,6 +13,7 @@ mod faults;
 mod handle;
 mod layering;
 mod limits;
+mod lines;
 mod link;
 mod polling;
 mod ports;
