@@ -145,19 +145,23 @@ impl Schedules {
         self.all.iter_mut().for_each(|schedule| schedule.is_streamed = false);
     }
 
-    /// Takes a poll of each schedule that is due for a scan of the stream, which came at `now` or would
-    /// have come then without a delay. The scans come `period` apart. Grid points without a scan do not
+    /// Takes a poll of each schedule that gets a scan of the stream, which came at `now` or would have
+    /// come then without a delay. The scans come `period` apart. Grid points without a scan do not
     /// count as skipped: the sensor sends when its motor has turned.
     pub(crate) fn take_streamed(&mut self, now: Instant, period: Duration) -> Vec<DuePoll> {
         let streamed = self.all.iter_mut().filter(|schedule| schedule.is_streamed);
-        // A scan that is a little early is for the point that follows. Otherwise a motor that turns
-        // with the grid would lose one scan after the other to their jitter.
-        let due = streamed.filter(|schedule| schedule.due <= now + period / 2);
-        due.map(|schedule| {
-            schedule.advance(now);
-            schedule.poll()
-        })
-        .collect()
+        let taken = streamed.filter_map(|schedule| {
+            // A scan that is a little early is for the point that follows.
+            let is_due = schedule.due <= now + period / 2;
+            if is_due {
+                schedule.advance(now);
+            }
+            // No motor turns exactly with the grid. Who asks for the rate of its scans wants each.
+            let asked = schedule.rate.period();
+            let wants_each = asked.is_none_or(|asked| asked <= period + period / 100);
+            (is_due || wants_each).then(|| schedule.poll())
+        });
+        taken.collect()
     }
 
     /// Returns true if a poll is due.

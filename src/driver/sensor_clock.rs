@@ -102,8 +102,6 @@ pub(crate) struct SensorClock {
     nominal: f64,
     lines: Option<Lines>,
     jumps: u64,
-    /// How late the latest scan came, as far as is known: less surely than a [`Revolution`] tells.
-    lateness: Duration,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -129,7 +127,7 @@ impl SensorClock {
     /// Creates the clock of a sensor whose revolution nominally takes this long.
     pub(crate) fn new(nominal: Duration) -> Self {
         let nominal = nominal.as_secs_f64();
-        Self { origin: Instant::now(), nominal, lines: None, jumps: 0, lateness: Duration::ZERO }
+        Self { origin: Instant::now(), nominal, lines: None, jumps: 0 }
     }
 
     /// Adds a scan whose first byte arrived at `arrived`, with this time of the sensor's clock, of a
@@ -189,16 +187,8 @@ impl SensorClock {
             return self.start(clock, arrived);
         }
         let revolution = lines.revolution(arrived);
-        // Several scans may come at once before the lines are used. A clock that stands still shows nothing.
-        let late = if passed < self.nominal / 2.0 { 0.0 } else { late };
-        self.lateness = revolution.lateness.unwrap_or(duration(late));
         self.lines = Some(lines);
         revolution
-    }
-
-    /// How late the latest scan came, as far as is known.
-    pub(crate) fn lateness(&self) -> Duration {
-        self.lateness
     }
 
     /// What is known about the motor, while the lines are used.
@@ -214,7 +204,6 @@ impl SensorClock {
     }
 
     fn start(&mut self, clock: f64, arrived: f64) -> Revolution {
-        self.lateness = Duration::ZERO;
         self.lines = Some(Lines {
             clock,
             age: 0.0,

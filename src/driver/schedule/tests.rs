@@ -56,6 +56,18 @@ async fn a_rate_in_step_with_the_motor_loses_no_scan() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn each_scan_of_a_fast_motor_is_taken_and_the_grid_stays() {
+    let start = Instant::now();
+    let (mut schedules, _readers) = schedules(&[(Window::FULL, Rate::hz(10.0))]);
+    schedules.begin_stream(HUNDRED_MS);
+    let turn = Duration::from_micros(99_760);
+    assert!((0..10_000).all(|n| !schedules.take_streamed(start + turn * n, HUNDRED_MS).is_empty()));
+    schedules.end_stream();
+    let ahead = schedules.next_due().unwrap() - (start + turn * 9_999);
+    assert!(ahead <= HUNDRED_MS * 3 / 2, "{ahead:?}");
+}
+
+#[tokio::test(start_paused = true)]
 async fn what_has_been_due_for_longest_goes_first() {
     let start = Instant::now();
     let fast = (Window::FULL, Rate::hz(20.0));

@@ -116,7 +116,7 @@ impl Service<'_> {
                 }
             };
             // After a pause of the host several arrive at once, and each belongs to its own poll.
-            for poll in self.take_streamed(streamed.lateness) {
+            for poll in self.take_streamed(streamed.lateness()) {
                 self.shared.counters.count_poll();
                 // It may have been sent before the stream had this window.
                 if let Some(acquired) = streamed.cut(poll.window, &self.geometry) {

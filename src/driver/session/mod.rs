@@ -78,8 +78,6 @@ pub(crate) struct Told {
 pub(crate) struct Streamed {
     window: Window,
     acquired: Acquired,
-    /// How late it came, as far as the sensor's clock tells.
-    pub(crate) lateness: Duration,
 }
 
 /// Identity of a sensor.

@@ -279,14 +279,12 @@ impl State {
         }
         let (window, stamp) = (running.window, scan.stamp);
         let mut acquired = acquired(scan, times);
-        let mut lateness = Duration::ZERO;
         if let Some(told) = acquired.told.as_deref_mut().filter(|_| !times.is_replayed) {
             told.revolution =
                 self.clock.observe(stamp.since_zero(), WRAP, times.began, running.begun);
             told.motor = self.clock.stats();
-            lateness = self.clock.lateness();
         }
-        self.waiting.push_back(Ok(Streamed { window, acquired, lateness }));
+        self.waiting.push_back(Ok(Streamed { window, acquired }));
     }
 
     fn add_malformed(&mut self, request: &Request, error: ReplyError, len: usize, shared: &Shared) {
@@ -327,6 +325,12 @@ fn between(one: Stamp, later: Stamp) -> Duration {
 }
 
 impl Streamed {
+    /// How late it came, as far as the sensor's clock tells.
+    pub(crate) fn lateness(&self) -> Duration {
+        let told = self.acquired.told.as_ref();
+        told.and_then(|told| told.revolution.lateness).unwrap_or_default()
+    }
+
     /// Part of the scan in `window`, if it holds that.
     pub(crate) fn cut(&self, window: Window, geometry: &Geometry) -> Option<Acquired> {
         if !self.window.holds(&window) {
