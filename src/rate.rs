@@ -16,8 +16,8 @@ const MAX_DECIMALS: usize = 20;
 
 /// Number of scans per second that a stream asks for.
 ///
-/// A URG makes ten revolutions per second: ask for [`Rate::hz(10.0)`](Rate::hz) to get a
-/// scan of each. The line may carry fewer, see
+/// A URG makes about ten revolutions per second: [`Rate::hz(10.0)`](Rate::hz) gets a scan of almost
+/// each, and [`Rate::UNLIMITED`] of each. The line may carry fewer, see
 /// [`Window::wire_time`](crate::Window::wire_time).
 ///
 /// As text and as data (feature `serde`) it is `10 Hz`, `0.5 Hz` or `max`. In data, you
