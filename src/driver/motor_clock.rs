@@ -60,6 +60,8 @@ const MOST_TURNS: f64 = 2.0;
 pub(crate) struct Revolution {
     /// Time from the end of the revolution on the line to the arrival of the reply.
     pub(crate) lateness: Option<Duration>,
+    /// True if one of the clocks may have left the line, so that a stamp should not rest on it.
+    pub(crate) is_doubted: bool,
     /// Duration of a revolution, while the line is used.
     pub(crate) period: Option<Duration>,
 }
@@ -201,7 +203,7 @@ impl MotorClock {
 
     fn revolution(&self, lateness: Option<f64>) -> Revolution {
         let period = Some(duration(self.period));
-        let used = Revolution { lateness: lateness.map(duration), period };
+        let used = Revolution { lateness: lateness.map(duration), is_doubted: false, period };
         if self.is_used() { used } else { Revolution::default() }
     }
 }

@@ -8,6 +8,9 @@
 //! - One line turns the sensor's clock into the host's: it runs along the earliest arrivals. An arrival
 //!   that is later than the gate is left out; nothing arrives early, so one that is earlier than the
 //!   gate, or several that are late by the same time, mean that the clock has jumped.
+//! - The host's clock may be steered: to correct it, chrony lets it run up to a twelfth fast or slow, and
+//!   the monotonic clock with it. So two late arrivals in a row put the line in doubt, unless they come
+//!   at once after each other, as after a pause of the host.
 //! - A second line smooths whole milliseconds: the motor is steadier than that. A scan that is a
 //!   millisecond off begins the line anew.
 //!
@@ -46,10 +49,13 @@ const LARGEST_DEVIATION: f64 = 0.2e-3;
 const EARLY_WEIGHT: f64 = 40.0;
 /// The fit starts again after a pause of this many seconds.
 const LONGEST_PAUSE: f64 = 30.0;
-/// Number of agreeing late arrivals, less the others, that mean a jump of the clock: if it has left the
-/// motor's line, and if not. The host may be busy for long.
+/// Number of agreeing late arrivals, less the others, that mean a jump of a clock that has left the
+/// motor's line.
 const JUMP: u32 = 5;
-const JUMP_BY_TURNS: u32 = 100;
+/// Number of late arrivals in a row from which on stamps rest on the arrivals, and after which the lines
+/// start again. The host may be busy for long.
+const DOUBTED: u32 = 2;
+const LOST: u32 = 50;
 /// Number of arrivals that fit, less the late ones, until the lines are used.
 const FIRST: u32 = 20;
 
@@ -121,6 +127,10 @@ struct Lines {
     has_moved: bool,
     /// How late most recent misfits are, and their votes (the majority vote of Boyer and Moore).
     misfits: (f64, u32),
+    /// Number of misfits since an arrival has fitted, without those that came at once after another.
+    misfits_in_row: u32,
+    /// How late the latest arrival was.
+    late: f64,
 }
 
 impl SensorClock {
@@ -155,16 +165,20 @@ impl SensorClock {
         // Nothing was sent before its stream began: the sensor has restarted meanwhile.
         let is_lost = lines.is_used() && is_unknown || late > longest + gate;
         lines.age += passed;
+        let is_at_once = late < lines.late - passed / 2.0;
+        lines.late = late;
         // Not a number if rounding has made a determinant negative.
         if gate.is_nan() || late < -gate || passed > LONGEST_PAUSE || is_lost {
             self.jumps += u64::from(lines.is_used());
             return self.start(clock, arrived);
         }
         if late <= gate {
-            (lines.misfits, lines.has_moved) = ((0.0, 0), false);
+            (lines.misfits, lines.misfits_in_row, lines.has_moved) = ((0.0, 0), 0, false);
             let weight = if late < 0.0 && lines.is_used() { EARLY_WEIGHT } else { 1.0 };
             lines.arrivals.add(late, weight);
             lines.count += 1;
+        } else if !is_at_once {
+            lines.misfits_in_row += 1;
         }
         // By the first line.
         let end = lines.arrivals.value;
@@ -212,6 +226,8 @@ impl SensorClock {
             count: 0,
             has_moved: false,
             misfits: (0.0, 0),
+            misfits_in_row: 0,
+            late: 0.0,
         });
         Revolution::default()
     }
@@ -222,7 +238,8 @@ impl Lines {
         self.count >= FIRST
     }
 
-    /// Judges an arrival that is late by more than the gate: the host is busy unless several agree.
+    /// Judges an arrival that is late by more than the gate: the host is busy unless several agree, or
+    /// none fits any more.
     fn is_jump(&mut self, late: f64, gate: f64) -> bool {
         let (agreed, votes) = self.misfits;
         self.misfits = match votes {
@@ -230,7 +247,7 @@ impl Lines {
             _ if (late - agreed).abs() > gate => (agreed, votes - 1),
             _ => (agreed + (late - agreed) / f64::from(votes + 1), votes + 1),
         };
-        self.misfits.1 >= if self.has_moved { JUMP } else { JUMP_BY_TURNS }
+        self.has_moved && self.misfits.1 >= JUMP || self.misfits_in_row >= LOST
     }
 
     fn revolution(&self, arrived: f64) -> Revolution {
@@ -238,6 +255,7 @@ impl Lines {
             return Revolution::default();
         }
         let lateness = (!self.has_moved).then(|| duration(arrived - self.motor.value));
-        Revolution { lateness, period: Some(duration(self.motor.slope)) }
+        let is_doubted = self.misfits_in_row >= DOUBTED;
+        Revolution { lateness, is_doubted, period: Some(duration(self.motor.slope)) }
     }
 }

@@ -77,7 +77,8 @@ impl Scan {
     ///   arrival of the first byte: on USB one or two milliseconds. You can only find it by
     ///   a measurement with the sensor ([`guide::time`](crate::guide::time));
     /// - with [`StampQuality::Motor`], which only a sensor's own USB port has, by 0.5 ms more;
-    /// - with [`StampQuality::SensorClock`] by 0.5 ms more, or later by as much;
+    /// - with [`StampQuality::SensorClock`] by 0.5 ms more, or later by as much, and by 2 ms if
+    ///   the host's clock is being steered;
     /// - with [`StampQuality::Arrival`] by a USB frame (1 ms), and by the time that a
     ///   busy host does not run the driver. A sensor that answers at once from its memory,
     ///   as it may on RS-232, ended the revolution up to one `scan_time` earlier, on

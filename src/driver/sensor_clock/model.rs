@@ -4,7 +4,7 @@
 //! `SCIP_CLOCKS=20 cargo test --release --lib sensor_clock::model -- --nocapture` draws 320 sensors for
 //! each cell, prints each cell, and takes a minute; `SCIP_CLOCKS_FIRST=1000001` draws others.
 
-use super::super::motor_clock::model::{Host, ModelRandom};
+use super::super::motor_clock::model::{Host, ModelRandom, Slew};
 use super::*;
 
 /// Sensors of a cell.
@@ -33,6 +33,8 @@ struct Kind {
     is_busy: bool,
     /// Clock and motor jump.
     is_odd: bool,
+    /// The host's clock is steered.
+    is_slewed: bool,
 }
 
 #[derive(Debug, Default)]
@@ -54,7 +56,7 @@ impl Cell {
         let drift = random.pick(&[0.0, 0.001, -0.001]) / 3600.0;
         let rate = 1.0 + random.between(-0.002, 0.002);
         let mut offset = WRAP * random.below_one();
-        let mut host = Host::draw(&mut random, kind.is_busy);
+        let (mut host, mut slew) = (Host::draw(&mut random, kind.is_busy), Slew::default());
         let (phase, delay) = (FRAME * random.below_one(), random.between(0.0, 2e-4));
         let mut errors = Vec::new();
         let mut clock = SensorClock::new(Duration::from_secs_f64(kind.revolution));
@@ -75,6 +77,9 @@ impl Cell {
                 }
                 unsettled = end + SETTLED;
             }
+            if kind.is_slewed && end > slew.end && random.once_in(1000.0) {
+                slew = slew.draw(end, &mut random);
+            }
             let begun = end - period;
             let unit = if kind.is_fine { 1e-6 } else { 1e-3 };
             let wrap = if kind.is_fine { 1.8e13 } else { WRAP };
@@ -83,13 +88,15 @@ impl Cell {
             let sent = ((end + delay - phase) / FRAME).ceil() * FRAME + phase;
             // Bytes of a stream keep their order.
             read = (sent + host.delay(sent, &mut random)).max(read);
-            let at = epoch + Duration::from_secs_f64(read);
+            let by_host = |at: f64| at + slew.gained(at);
+            let at = epoch + Duration::from_secs_f64(by_host(read));
             let revolution = clock.observe(stamp, Duration::from_secs_f64(wrap), at, epoch);
             self.stamps += 1;
-            let Some(lateness) = revolution.lateness else { continue };
+            let lateness = revolution.lateness.filter(|_| !revolution.is_doubted);
+            let Some(lateness) = lateness else { continue };
             self.waits.extend(first.take().map(|first| end - first));
             if end > unsettled {
-                errors.push(read - lateness.as_secs_f64() - end);
+                errors.push(by_host(read) - lateness.as_secs_f64() - by_host(end));
             }
         }
         errors.sort_by(f64::total_cmp);
@@ -118,27 +125,30 @@ fn draw(kind: Kind) -> Cell {
 
 #[test]
 fn few_stamps_by_the_clock_are_wrong() {
-    // Settled stamps, and those off by each bound, of idle and of busy hosts.
-    let mut sums = [[0; 3]; 2];
+    // Settled stamps, and those off by each bound, of idle, of busy and of steered hosts.
+    let mut sums = [[0; 3]; 3];
     for revolution in [0.025, 0.1] {
         for skipped in [0, 3, 9] {
-            for (is_fine, is_busy, is_odd) in [
-                (false, false, false),
-                (false, true, false),
-                (false, false, true),
-                (false, true, true),
-                (true, false, false),
-                (true, true, true),
+            for (is_fine, is_busy, is_odd, is_slewed) in [
+                (false, false, false, false),
+                (false, true, false, false),
+                (false, false, true, false),
+                (false, true, true, false),
+                (true, false, false, false),
+                (true, true, true, false),
+                (false, false, false, true),
+                (false, true, true, true),
+                (true, true, false, true),
             ] {
-                let kind = Kind { revolution, skipped, is_fine, is_busy, is_odd };
+                let kind = Kind { revolution, skipped, is_fine, is_busy, is_odd, is_slewed };
                 let Cell { settled, unusual, wrong, .. } = draw(kind);
-                let sum = &mut sums[usize::from(is_busy)];
+                let sum = &mut sums[if is_slewed { 2 } else { usize::from(is_busy) }];
                 sum.iter_mut().zip([settled, unusual, wrong]).for_each(|(sum, one)| *sum += one);
             }
         }
     }
-    println!("idle and busy: {sums:?}");
-    for ([settled, unusual, wrong], usual) in sums.into_iter().zip([100, 50]) {
+    println!("idle, busy and steered: {sums:?}");
+    for ([settled, unusual, wrong], usual) in sums.into_iter().zip([100, 50, 25]) {
         assert!(unusual * usual <= settled && wrong * 1000 <= settled, "{sums:?}");
     }
 }

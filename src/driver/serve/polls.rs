@@ -211,7 +211,7 @@ impl Service<'_> {
             first_byte_at: times.began,
             received_at: times.received,
             stamp: times.stamp,
-            lateness: revolution.lateness,
+            lateness: revolution.lateness.filter(|_| !revolution.is_doubted),
             postponed: Duration::ZERO,
             repeat: false,
             scan_time: revolution.period.unwrap_or(self.scan_time),
