@@ -17,8 +17,6 @@ const MAX_COMPRESSION_NAME: usize = 16;
 const MAX_CHUNK_HEAD: usize = CHUNK_HEAD + MAX_COMPRESSION_NAME;
 /// Longest record that is not read.
 const MAX_SKIPPED_BYTES: u64 = u64::MAX - RECORD_HEAD as u64;
-/// Longest record whose texts prove it: a hostile file may have one at each byte.
-const MAX_CHECKED_BYTES: u64 = 4 << 10;
 /// Number of records that must follow one without lengths of its own. Data with many zeros look
 /// like one record, but not like three.
 const FOLLOWERS: u8 = 2;
@@ -196,14 +194,9 @@ pub(super) fn outside_chunks(kind: u8) -> bool {
     has_lengths(kind) && !matches!(kind, kind::HEADER | kind::SCHEMA | kind::CHANNEL)
 }
 
-/// Returns true if the numbers in a record show that it begins there.
+/// Returns true if the lengths in a record show that it begins there.
 fn shows(extent: &Extent) -> bool {
-    extent.is_chunk || extent.is_proved() && extent.counts && !is_text(extent.kind)
-}
-
-/// Kinds of records that consist of texts.
-fn is_text(kind: u8) -> bool {
-    matches!(kind, kind::HEADER | kind::SCHEMA | kind::CHANNEL | kind::METADATA)
+    extent.is_chunk || extent.is_proved() && extent.counts
 }
 
 /// Returns true if a record of these kinds begins at `at`. Fails with the number of bytes that
@@ -249,14 +242,6 @@ fn begins_before(
                 .map(|is_next| !is_next)
         }
         Ok(extent) if shows(&extent) => Ok(true),
-        Ok(extent) if extent.is_proved() && extent.counts && extent.end <= MAX_CHECKED_BYTES => {
-            let end = at + extent.end as usize;
-            match bytes.get(at + RECORD_HEAD..end) {
-                Some(content) => Ok(is_well_formed(extent.kind, content)),
-                None if after == After::More => Err(end),
-                None => Ok(false),
-            }
-        }
         Ok(extent) if extent.end > MAX_CHUNK_BYTES => Ok(false),
         Ok(_) if followers == 0 => Ok(true),
         Ok(extent) => {
