@@ -330,19 +330,15 @@ impl<W: Write> Copy<W> {
         if !is_inside && identity.is_none() && latched.is_none() {
             return Ok(());
         }
-        let channel = match source.channels.get(&header.channel) {
-            Some(channel) => Some(*channel),
-            None => {
-                let (known, writer) = (&source.definitions, &mut self.writer);
-                let channel = self.definitions.channel(header.channel, known, lost_schema, writer);
-                source.channels.extend(channel.map(|channel| (header.channel, channel)));
-                channel
-            }
-        };
+        let channel = source.channels.get(&header.channel).copied().or_else(|| {
+            let (known, writer) = (&source.definitions, &mut self.writer);
+            self.definitions.channel(header.channel, known, lost_schema, writer)
+        });
         let Some(channel) = channel else {
             self.outcome.add_damage(source.records.report_damage());
             return Ok(());
         };
+        source.channels.insert(header.channel, channel);
         header.channel = channel;
         if let Some(topic) = latched {
             if !self.latched.keep(&topic, header, data, record) {

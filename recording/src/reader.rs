@@ -282,12 +282,10 @@ impl Recording {
     pub(super) fn next_item(&mut self) -> Option<Result<Item, RecordingError>> {
         loop {
             let item = match self.ahead.pop_front() {
-                Some(item) => item,
-                None => match self.advance()?.transpose() {
-                    Some(item) => item,
-                    None => continue,
-                },
+                None => self.advance()?.transpose(),
+                item => item,
             };
+            let Some(item) = item else { continue };
             let record = match item {
                 Ok(Item::Record(record)) => record,
                 Ok(Item::Description(_)) if self.topic.is_some() => continue,
