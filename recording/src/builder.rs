@@ -225,8 +225,7 @@ impl RecorderBuilder {
     /// thread can be started.
     pub fn write_to(self, out: impl Write + Send + 'static) -> Result<Recorder, RecordingError> {
         self.check()?;
-        let (out, path) = (Box::new(out), Path::new(""));
-        Queue::into_writer(out, path, None, None, self.settings).map(Recorder::new)
+        Queue::into_writer(Box::new(out), None, None, self.settings).map(Recorder::new)
     }
 
     fn check(&self) -> Result<(), RecordingError> {

@@ -63,19 +63,18 @@ struct OldPart {
 }
 
 impl Parts {
-    /// `current` is the file being written, and `path` the recording's first file. `syncer` syncs
-    /// each further file.
+    /// Starts with an empty file. `path` is the recording's first file. `syncer` syncs each further
+    /// one.
     pub(super) fn new(
         limits: Limits,
         path: Option<PathBuf>,
-        current: &Path,
         progress: Arc<Mutex<Progress>>,
         syncer: Option<Syncer>,
     ) -> Self {
         let last = path.as_ref().and_then(|path| begun_parts(path).pop());
         let number = last.map_or(1, |(number, _)| number);
         let mut parts = Self { limits, path, number, old: Vec::new(), progress, syncer };
-        parts.find_old(current);
+        parts.find_old();
         parts
     }
 
@@ -118,7 +117,7 @@ impl Parts {
             let out = begun.map_err(|error| {
                 io::Error::new(error.kind(), format!("cannot create {}: {error}", path.display()))
             })?;
-            self.find_old(&path);
+            self.find_old();
             lock(&self.progress).files += 1;
             return Ok(self.count(out));
         }
@@ -129,8 +128,9 @@ impl Parts {
         Counted { out, progress: Arc::clone(&self.progress) }
     }
 
-    /// Looks for finished files of the recording, if old ones are removed.
-    fn find_old(&mut self, current: &Path) {
+    /// Looks for finished files of the recording, if old ones are removed. The current one is still
+    /// empty.
+    fn find_old(&mut self) {
         self.old.clear();
         let Some(path) = self.path.as_ref().filter(|_| self.limits.removes_old()) else { return };
         let old = |path: PathBuf| {
@@ -138,8 +138,7 @@ impl Parts {
             let changed = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
             Some(OldPart { path, bytes: metadata.len(), changed })
         };
-        let paths = begun_parts(path).into_iter().map(|(_, path)| path);
-        self.old = paths.filter(|path| path != current).filter_map(old).collect();
+        self.old = begun_parts(path).into_iter().filter_map(|(_, path)| old(path)).collect();
     }
 
     /// Removes the files that are too old, and then the oldest ones until the rest and the current
@@ -160,29 +159,19 @@ impl Parts {
             is_too_much
         };
         unwanted.extend(self.old.extract_if(.., is_too_much));
+        // Another recorder under the same name may write one.
+        unwanted.retain(|part| !RecordingFile::is_busy(&part.path));
         for part in unwanted {
-            let is_removed = part.remove().is_ok();
-            lock(&self.progress).cannot_remove |= !is_removed;
-        }
-    }
-}
-
-impl OldPart {
-    /// Removes the file, unless another recorder under the same name writes it.
-    fn remove(self) -> io::Result<()> {
-        let path = self.path.display();
-        if RecordingFile::is_busy(&self.path) {
-            return Ok(());
-        }
-        match fs::remove_file(&self.path) {
-            Ok(()) => tracing::info!(%path, "old recording removed"),
-            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-            Err(error) => {
-                tracing::warn!(%path, %error, "an old recording cannot be removed");
-                return Err(error);
+            let path = part.path.display();
+            match fs::remove_file(&part.path) {
+                Ok(()) => tracing::info!(%path, "old recording removed"),
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                Err(error) => {
+                    tracing::warn!(%path, %error, "an old recording cannot be removed");
+                    lock(&self.progress).cannot_remove = true;
+                }
             }
         }
-        Ok(())
     }
 }
 
@@ -273,7 +262,7 @@ mod tests {
         let (path, second) = (Path::new("run.mcap"), Duration::from_secs(1));
         let parts = |bytes| {
             let limits = Limits { bytes, ..Limits::default() };
-            Parts::new(limits, Some(path.to_owned()), path, Arc::default(), None)
+            Parts::new(limits, Some(path.to_owned()), Arc::default(), None)
         };
         assert!(!parts(None).is_full(second, MAX_PART_BYTES - 1, 1));
         assert!(parts(None).is_full(second, MAX_PART_BYTES, 1));

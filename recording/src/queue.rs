@@ -77,16 +77,15 @@ impl Queue {
     ) -> Result<Arc<Self>, RecordingError> {
         let syncer = settings.sync_interval.map(Syncer::start).transpose();
         let syncer = syncer.map_err(RecordingError::write)?;
-        let (current, path) = (file.path().to_owned(), file.first().map(Path::to_owned));
+        let path = file.first().map(Path::to_owned);
         let out = file.begin(syncer.clone()).map_err(RecordingError::write)?;
-        Self::into_writer(out, &current, path, syncer, settings)
+        Self::into_writer(out, path, syncer, settings)
     }
 
-    /// Starts a file, and the thread that writes it into `out`. If there is a `path`, creates further
-    /// files beside it; `current` is the path of `out`. Without a `syncer` nothing is synced.
+    /// Starts a file, and the thread that writes it into `out`. If there is a `path`, of the recording's
+    /// first file, creates further ones beside it. Without a `syncer` nothing is synced.
     pub(super) fn into_writer(
         out: Box<dyn Write + Send>,
-        current: &Path,
         path: Option<PathBuf>,
         syncer: Option<Syncer>,
         settings: QueueSettings,
@@ -94,7 +93,7 @@ impl Queue {
         let QueueSettings { limits, frame_id, compression, before, .. } = settings;
         let (queue, receiver) = Self::new(syncer.clone(), before);
         let queue = Arc::new(queue);
-        let parts = Parts::new(limits, path, current, Arc::clone(&queue.progress), syncer);
+        let parts = Parts::new(limits, path, Arc::clone(&queue.progress), syncer);
         let writer = Writer::new(out, parts, frame_id, compression);
         let writer = writer.map_err(RecordingError::write)?;
         let thread = {
@@ -285,8 +284,8 @@ mod tests {
         };
         let syncer = Syncer::start(Duration::ZERO).unwrap();
         syncer.begin(Box::new(Hangs(wait)));
-        let (file, path) = (Box::new(io::sink()), Path::new(""));
-        let queue = Queue::into_writer(file, path, None, Some(syncer), settings).unwrap();
+        let file = Box::new(io::sink());
+        let queue = Queue::into_writer(file, None, Some(syncer), settings).unwrap();
         queue.finish().await.unwrap();
         assert!(queue.ended().now_or_never().is_none());
         drop(go);

@@ -300,7 +300,7 @@ mod tests {
         std::fs::create_dir_all(&folder).unwrap();
         let path = folder.join("run.mcap");
         let (limits, first) = (Limits::default(), Some(path.clone()));
-        let parts = Parts::new(limits, first, &path, Default::default(), None);
+        let parts = Parts::new(limits, first, Default::default(), None);
         let out = RecordingFile::open(&path, false).unwrap().begin(None).unwrap();
         let mut writer = Writer::new(out, parts, "laser".to_owned(), Compression::Plain).unwrap();
         let mut times = writer.began;
