@@ -80,6 +80,7 @@ fn a_bag_whose_window_changes_is_read_whole() {
     let info = run(&format!("info {}", file.path()), 0).stdout;
     let row = "scans          60: 10 of steps 44..=725, 50 of steps 100..=400\n";
     assert!(info.contains(row) && info.contains("left out       none\n"), "{info}");
+    assert!(!info.contains("protocol"), "{info}");
     let check = run(&format!("check {}", file.path()), 0).stdout;
     assert!(check.ends_with("\nall is well\n"), "{check}");
     let stream = run(&format!("stream {} --rate max", file.path()), 0);

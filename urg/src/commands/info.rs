@@ -145,10 +145,11 @@ fn text(
     row(
         "protocol",
         match geometry {
-            Some(geometry) => {
+            // A bag of another program does not tell it.
+            Some(geometry) if !version.protocol.as_bytes().is_empty() => {
                 format!("{} (its own text: {})", geometry.protocol(), version.protocol)
             }
-            None => version.protocol.to_string(),
+            _ => version.protocol.to_string(),
         },
     );
     if let Some(status) = &version.status {
