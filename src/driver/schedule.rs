@@ -156,10 +156,10 @@ impl Schedules {
             if is_due {
                 schedule.advance(now);
             }
-            // No motor turns exactly with the grid. Who asks for the rate of its scans wants each.
+            // No motor turns exactly with the grid, so a stream at the rate of the scans gets each of them.
             let asked = schedule.rate.period();
-            let wants_each = asked.is_none_or(|asked| asked <= period + period / 100);
-            (is_due || wants_each).then(|| schedule.poll())
+            let gets_each = asked.is_none_or(|asked| asked <= period + period / 100);
+            (is_due || gets_each).then(|| schedule.poll())
         });
         taken.collect()
     }

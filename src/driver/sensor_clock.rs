@@ -52,9 +52,9 @@ const LONGEST_PAUSE: f64 = 30.0;
 /// Number of agreeing late arrivals, less the others, that mean a jump of a clock that has left the
 /// motor's line.
 const JUMP: u32 = 5;
-/// Number of late arrivals in a row from which on stamps rest on the arrivals, and after which the lines
-/// start again. The host may be busy for long.
+/// After this many late arrivals in a row, stamps rest on the arrivals until one fits again.
 const DOUBTED: u32 = 2;
+/// After this many, the lines start again. It takes more, because the host may only be busy.
 const LOST: u32 = 50;
 /// Number of arrivals that fit, less the late ones, until the lines are used.
 const FIRST: u32 = 20;

@@ -101,8 +101,8 @@ impl Records {
         index.map_err(RecordingError::read)
     }
 
-    /// Reports the latest record as damaged. Returns its position or that of its chunk, once: however
-    /// many of its records are damaged.
+    /// Reports the latest record as damaged. Returns the position of the record, or of its chunk if it is
+    /// in one. Returns `None` if damage at that position has been reported already.
     pub(crate) fn report_damage(&mut self) -> Option<u64> {
         let offset = self.window.offset;
         self.is_news(offset).then_some(offset)
@@ -249,7 +249,7 @@ impl Records {
         Ok(Some((extent.kind, content)))
     }
 
-    /// Remembers the channel that a record defines, or checks that of a message.
+    /// Fails for a message whose channel no earlier record has defined.
     fn check_channel(&mut self, kind: u8, content: &Range<usize>) -> Result<(), RecordingError> {
         let number = Fields(self.bytes(content.clone())).u16().unwrap_or_default();
         if kind == kind::CHANNEL {
