@@ -2,18 +2,13 @@
 //! read at their own position and depth.
 
 #[cfg(test)]
-mod interleavings;
-#[cfg(test)]
 mod tests;
 
 use std::collections::VecDeque;
-use std::future::Future;
-use std::pin::Pin;
+use std::mem;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::task::{Context, Poll, ready};
+use std::task::{Context, Poll, Waker, ready};
 
-use tokio::sync::Notify;
-use tokio::sync::futures::OwnedNotified;
 use tokio::task::coop;
 use tokio::time::Instant;
 
@@ -22,12 +17,11 @@ use crate::{Error, Scan};
 /// Newest scans of a schedule, and its latest error.
 ///
 /// Errors are kept beside the scans, so that no scan overwrites them.
+///
+/// One lock protects everything. A reader that finds nothing leaves its waker before it releases the
+/// lock, so it misses no change.
 #[derive(Debug)]
-pub(crate) struct Ring {
-    inner: Mutex<Inner>,
-    /// Wakes the readers after each change.
-    changed: Arc<Notify>,
-}
+pub(crate) struct Ring(Mutex<Inner>);
 
 #[derive(Debug, Default)]
 struct Inner {
@@ -41,16 +35,25 @@ struct Inner {
     errors: u64,
     /// Set once the driver has ended: no more scans follow.
     ended: bool,
-    /// Depth of each reader, the deepest first.
-    depths: Vec<usize>,
+    /// Readers by their slot. A free slot has depth 0.
+    readers: Vec<Reader>,
+    /// Depth of the deepest reader, at least 1.
+    depth: usize,
     missed: u64,
+}
+
+#[derive(Debug, Default)]
+struct Reader {
+    depth: usize,
+    /// Wakes the task that waits for a change.
+    waker: Option<Waker>,
 }
 
 impl Ring {
     pub(crate) fn new() -> Arc<Self> {
         // Room for the depth of most readers.
-        let inner = Inner { scans: VecDeque::with_capacity(1), ..Inner::default() };
-        Arc::new(Self { inner: Mutex::new(inner), changed: Arc::default() })
+        let inner = Inner { scans: VecDeque::with_capacity(1), depth: 1, ..Inner::default() };
+        Arc::new(Self(Mutex::new(inner)))
     }
 
     /// Subscribes a reader to the scans from now on. It can fall `depth` scans behind
@@ -84,7 +87,7 @@ impl Ring {
 
     /// Number of readers.
     pub(crate) fn readers(&self) -> usize {
-        self.lock().depths.len()
+        self.lock().readers.iter().filter(|reader| reader.depth > 0).count()
     }
 
     /// Number of scans that readers missed.
@@ -93,30 +96,36 @@ impl Ring {
     }
 
     fn change<T>(&self, change: impl FnOnce(&mut Inner) -> T) -> T {
-        let outcome = change(&mut self.lock());
-        self.changed.notify_waiters();
+        let mut inner = self.lock();
+        let outcome = change(&mut inner);
+        for slot in 0..inner.readers.len() {
+            if let Some(waker) = inner.readers.get_mut(slot).and_then(|reader| reader.waker.take())
+            {
+                // Not under the lock: a task that ends now may drop a reader, which takes it.
+                drop(inner);
+                waker.wake();
+                inner = self.lock();
+            }
+        }
         outcome
     }
 
+    // Several times a scan: one copy of its code.
+    #[inline(never)]
     fn lock(&self) -> MutexGuard<'_, Inner> {
         #[cfg(test)]
-        interleavings::count_lock();
+        tests::count_lock();
         // No code that may panic runs between two changes, so the data is consistent.
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Inner {
-    /// Depth of the deepest reader.
-    fn depth(&self) -> usize {
-        self.depths.first().copied().unwrap_or(1)
-    }
-
     fn push(&mut self, mut scan: Scan) -> bool {
         let repeats = self.scans.back().is_some_and(|latest| scan.is_same_as(latest));
         scan.meta.repeat = repeats;
         scan.meta.sequence = self.next;
-        while self.scans.len() >= self.depth() {
+        while self.scans.len() >= self.depth {
             self.scans.pop_front();
         }
         self.scans.push_back(scan);
@@ -133,19 +142,19 @@ impl Inner {
     /// Does nothing if the ring had ended before.
     fn end(&mut self, cause: Option<Error>) {
         // Together with its cause: a reader on another thread must not see the end alone.
-        let has_ended = std::mem::replace(&mut self.ended, true);
+        let has_ended = mem::replace(&mut self.ended, true);
         if let Some(cause) = cause.filter(|_| !has_ended) {
             self.report(cause);
         }
     }
 
-    /// Removes a reader of this depth, and the scans that only it wanted.
-    fn leave(&mut self, depth: usize) {
-        if let Some(entry) = self.depths.iter().position(|one| *one == depth) {
-            self.depths.remove(entry);
-        }
-        let surplus = self.scans.len().saturating_sub(self.depth());
+    /// Replaces the reader in this slot, and returns it. Removes scans that nobody wants any more.
+    fn replace(&mut self, slot: usize, reader: Reader) -> Option<Reader> {
+        let before = self.readers.get_mut(slot).map(|slot| mem::replace(slot, reader));
+        self.depth = self.readers.iter().map(|reader| reader.depth).fold(1, usize::max);
+        let surplus = self.scans.len().saturating_sub(self.depth);
         self.scans.drain(..surplus);
+        before
     }
 }
 
@@ -153,8 +162,7 @@ impl Inner {
 #[derive(Debug)]
 pub(crate) struct Cursor {
     ring: Arc<Ring>,
-    /// Completes at the next change. Created before the ring is read, so that it misses none.
-    change: Pin<Box<OwnedNotified>>,
+    slot: usize,
     place: Place,
 }
 
@@ -171,11 +179,11 @@ struct Place {
 impl Cursor {
     /// Registers a reader at this place.
     fn enter(ring: &Arc<Ring>, mut inner: MutexGuard<'_, Inner>, place: Place) -> Self {
-        let entry = inner.depths.partition_point(|depth| *depth > place.depth);
-        inner.depths.insert(entry, place.depth);
-        drop(inner);
-        let change = Box::pin(Arc::clone(&ring.changed).notified_owned());
-        Self { ring: Arc::clone(ring), change, place }
+        let readers = &mut inner.readers;
+        let slot = readers.iter().position(|reader| reader.depth == 0).unwrap_or(readers.len());
+        readers.resize_with(readers.len().max(slot + 1), Reader::default);
+        inner.replace(slot, Reader { depth: place.depth, waker: None });
+        Self { ring: Arc::clone(ring), slot, place }
     }
 
     /// Returns the next error or scan, or `None` after the end. Takes part in tokio's
@@ -185,23 +193,17 @@ impl Cursor {
             return Poll::Ready(None);
         }
         let coop = ready!(coop::poll_proceed(cx));
-        loop {
-            if let Poll::Ready(item) = self.take() {
-                coop.made_progress();
-                return Poll::Ready(item);
-            }
-            ready!(self.poll_change(cx));
+        let mut inner = self.ring.lock();
+        let item = self.place.take(&mut inner);
+        if item.is_ready() {
+            coop.made_progress();
+        } else if let Some(reader) = inner.readers.get_mut(self.slot) {
+            let before = reader.waker.replace(cx.waker().clone());
+            drop(inner);
+            // Not under the lock, as in `change`.
+            drop(before);
         }
-    }
-
-    fn take(&mut self) -> Poll<Option<Result<Scan, Error>>> {
-        self.place.take(&mut self.ring.lock())
-    }
-
-    fn poll_change(&mut self, cx: &mut Context<'_>) -> Poll<()> {
-        ready!(self.change.as_mut().poll(cx));
-        self.change.set(Arc::clone(&self.ring.changed).notified_owned());
-        Poll::Ready(())
+        item
     }
 
     /// Newest scan, read or not.
@@ -271,6 +273,7 @@ impl Clone for Cursor {
 
 impl Drop for Cursor {
     fn drop(&mut self) {
-        self.ring.lock().leave(self.place.depth);
+        // The waker is dropped without the lock, as in `change`.
+        let _reader = self.ring.lock().replace(self.slot, Reader::default());
     }
 }

@@ -1,15 +1,32 @@
-//! Random histories of a ring, compared with readers that each have a queue of their own.
+//! Histories of a ring, all short ones and random long ones, compared with readers that each have a
+//! queue of their own.
+//!
+//! Each call takes the lock once, apart from waking tasks: so threads, too, can only make the calls in
+//! some order.
 
+use std::cell::Cell;
 use std::collections::VecDeque;
 use std::future::poll_fn;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::{Context, Poll, Wake, Waker};
 
-use futures::FutureExt;
 use proptest::prelude::*;
 
 use super::{Cursor, Ring};
 use crate::{Error, ErrorKind, Scan, Window};
 
-pub(super) fn scan() -> Scan {
+thread_local! {
+    /// How often this thread has taken the lock of a ring.
+    static LOCKS: Cell<usize> = const { Cell::new(0) };
+}
+
+/// Counts a lock. Called by each lock of a ring.
+pub(super) fn count_lock() {
+    LOCKS.set(LOCKS.get() + 1);
+}
+
+fn scan() -> Scan {
     scan_with(1000)
 }
 
@@ -19,13 +36,6 @@ fn scan_with(value: u32) -> Scan {
 
 /// What a reader gets: the number of a scan and whether it repeats the one before, or an error.
 type RingItem = Result<(u64, bool), String>;
-
-/// Takes the ready item: `Some(None)` at the end, and `None` if nothing is ready.
-fn take(cursor: &mut Cursor) -> Option<Option<RingItem>> {
-    let item = poll_fn(|cx| cursor.poll_next(cx)).now_or_never()?;
-    let number = |scan: Scan| (scan.sequence(), scan.is_repeat());
-    Some(item.map(|item| item.map(number).map_err(|error| error.to_string())))
-}
 
 fn error(kind: usize) -> Error {
     [ErrorKind::LaserOff, ErrorKind::Loopback, ErrorKind::Closed]
@@ -60,6 +70,51 @@ fn step() -> impl Strategy<Value = RingStep> {
     ]
 }
 
+/// True while a task runs, or was woken.
+#[derive(Debug)]
+struct Task(AtomicBool);
+
+impl Wake for Task {
+    fn wake(self: Arc<Self>) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Reader with its task, and what it should read.
+#[derive(Debug)]
+struct TestReader {
+    cursor: Cursor,
+    task: Arc<Task>,
+    queue: Queue,
+    /// True if it found nothing, and nothing has changed since.
+    waits: bool,
+}
+
+impl TestReader {
+    fn new(cursor: Cursor, queue: Queue) -> Self {
+        Self { cursor, task: Arc::new(Task(AtomicBool::new(true))), queue, waits: false }
+    }
+
+    /// Takes the ready item: `Some(None)` at the end, and `None` if nothing is ready.
+    fn take(&mut self) -> Option<Option<RingItem>> {
+        self.task.0.store(true, Ordering::Relaxed);
+        let waker = Waker::from(Arc::clone(&self.task));
+        LOCKS.set(0);
+        let item = self.cursor.poll_next(&mut Context::from_waker(&waker));
+        assert!(LOCKS.get() <= 1, "another thread may change the ring in between");
+        self.waits = item.is_pending();
+        self.task.0.store(!self.waits, Ordering::Relaxed);
+        let Poll::Ready(item) = item else { return None };
+        let number = |scan: Scan| (scan.sequence(), scan.is_repeat());
+        Some(item.map(|item| item.map(number).map_err(|error| error.to_string())))
+    }
+
+    fn change(&mut self, change: impl FnOnce(&mut Queue)) {
+        change(&mut self.queue);
+        self.waits = false;
+    }
+}
+
 /// What a reader has yet to read.
 #[derive(Debug, Clone)]
 struct Queue {
@@ -85,78 +140,113 @@ impl Queue {
     }
 }
 
+fn check(steps: impl IntoIterator<Item = RingStep>) {
+    let ring = Ring::new();
+    let mut readers: Vec<TestReader> = Vec::new();
+    let (mut scans, mut latest, mut news) = (0, None, None::<String>);
+    let (mut has_ended, mut all_missed) = (false, 0);
+    for step in steps {
+        match step {
+            // The driver neither pushes nor reports after the end.
+            RingStep::Push(_) | RingStep::Report(_) if has_ended => {}
+            RingStep::Push(value) => {
+                let (repeats, missed) = ring.push(scan_with(value));
+                assert_eq!((repeats, missed), (latest == Some(value), all_missed));
+                let push = |queue: &mut Queue| queue.push(Ok((scans, repeats)));
+                readers.iter_mut().for_each(|reader| reader.change(push));
+                (scans, latest, news) = (scans + 1, Some(value), None);
+            }
+            RingStep::Report(kind) => {
+                ring.report(error(kind));
+                let text = error(kind).to_string();
+                readers.iter_mut().for_each(|reader| reader.change(|queue| queue.report(&text)));
+                news = Some(text);
+            }
+            RingStep::End(kind) => {
+                ring.end(kind.map(error));
+                let text = kind.map(|kind| error(kind).to_string()).filter(|_| !has_ended);
+                let report = |queue: &mut Queue| text.iter().for_each(|text| queue.report(text));
+                readers.iter_mut().for_each(|reader| reader.change(report));
+                (has_ended, news) = (true, text.or(news));
+            }
+            RingStep::Subscribe(depth) => {
+                let items = news.clone().map(Err).into_iter().collect();
+                let queue = Queue { depth: depth.max(1), items, missed: 0 };
+                readers.push(TestReader::new(ring.subscribe(depth), queue));
+            }
+            RingStep::Read(n) => {
+                let Some(reader) = readers.get_mut(n) else { continue };
+                let before = reader.cursor.missed();
+                let expected = reader.queue.items.pop_front();
+                let item = expected.clone().map(Some).or(has_ended.then_some(None));
+                assert_eq!(reader.take(), item);
+                assert_eq!(reader.cursor.is_finished(), item == Some(None));
+                let missed = reader.cursor.missed();
+                assert!(matches!(expected, Some(Err(_))) || missed == reader.queue.missed);
+                all_missed += missed - before;
+            }
+            RingStep::Clone(n) => {
+                let Some(TestReader { cursor, queue, .. }) = readers.get(n) else { continue };
+                readers.push(TestReader::new(cursor.clone(), queue.clone()));
+            }
+            RingStep::Resubscribe(n) => {
+                let Some(TestReader { cursor, queue, .. }) = readers.get(n) else { continue };
+                let items = news.clone().map(Err).into_iter().collect();
+                let queue = Queue { items, missed: 0, ..*queue };
+                readers.push(TestReader::new(cursor.resubscribe(), queue));
+            }
+            RingStep::Drop(n) if n < readers.len() => drop(readers.remove(n)),
+            RingStep::Drop(_) => {}
+        }
+        assert_eq!((ring.readers(), ring.missed()), (readers.len(), all_missed));
+        // Deep readers that are gone leave no scans behind.
+        let depth = readers.iter().map(|reader| reader.queue.depth).max().unwrap_or(1);
+        assert!(ring.lock().scans.len() <= depth);
+        for TestReader { cursor, task, waits, .. } in &readers {
+            assert_eq!(task.0.load(Ordering::Relaxed), !waits, "each change wakes each reader");
+            let newest = cursor.latest().and_then(|scan| scan.raw_values().next());
+            assert_eq!(newest, latest);
+            let (received_at, error) = cursor.freshness();
+            assert_eq!(received_at.is_some(), latest.is_some());
+            assert_eq!(error.map(|error| error.to_string()), news);
+        }
+    }
+}
+
 proptest! {
     #[test]
     fn each_reader_gets_its_newest_scans_and_the_latest_error(
         steps in prop::collection::vec(step(), 1..80),
     ) {
-        let ring = Ring::new();
-        let mut readers: Vec<(Cursor, Queue)> = Vec::new();
-        let (mut scans, mut latest, mut news) = (0, None, None::<String>);
-        let (mut has_ended, mut all_missed) = (false, 0);
-        for step in steps {
-            match step {
-                // The driver neither pushes nor reports after the end.
-                RingStep::Push(_) | RingStep::Report(_) if has_ended => {}
-                RingStep::Push(value) => {
-                    let (repeats, missed) = ring.push(scan_with(value));
-                    prop_assert_eq!((repeats, missed), (latest == Some(value), all_missed));
-                    readers.iter_mut().for_each(|(_, queue)| queue.push(Ok((scans, repeats))));
-                    (scans, latest, news) = (scans + 1, Some(value), None);
-                }
-                RingStep::Report(kind) => {
-                    ring.report(error(kind));
-                    news = Some(error(kind).to_string());
-                    readers.iter_mut().for_each(|(_, queue)| queue.report(&error(kind).to_string()));
-                }
-                RingStep::End(kind) => {
-                    ring.end(kind.map(error));
-                    if let Some(text) = kind.map(|kind| error(kind).to_string()).filter(|_| !has_ended) {
-                        readers.iter_mut().for_each(|(_, queue)| queue.report(&text));
-                        news = Some(text);
-                    }
-                    has_ended = true;
-                }
-                RingStep::Subscribe(depth) => {
-                    let items = news.clone().map(Err).into_iter().collect();
-                    let queue = Queue { depth: depth.max(1), items, missed: 0 };
-                    readers.push((ring.subscribe(depth), queue));
-                }
-                RingStep::Read(n) => {
-                    let Some((cursor, queue)) = readers.get_mut(n) else { continue };
-                    let (before, is_error) = (cursor.missed(), matches!(queue.items.front(), Some(Err(_))));
-                    let expected = queue.items.pop_front().map(Some);
-                    prop_assert_eq!(take(cursor), expected.clone().or(has_ended.then_some(None)));
-                    prop_assert_eq!(cursor.is_finished(), has_ended && expected.is_none());
-                    prop_assert!(is_error || cursor.missed() == queue.missed);
-                    all_missed += cursor.missed() - before;
-                }
-                RingStep::Clone(n) => {
-                    let Some((cursor, queue)) = readers.get(n) else { continue };
-                    readers.push((cursor.clone(), queue.clone()));
-                }
-                RingStep::Resubscribe(n) => {
-                    let Some((cursor, queue)) = readers.get(n) else { continue };
-                    let items = news.clone().map(Err).into_iter().collect();
-                    let queue = Queue { items, missed: 0, ..*queue };
-                    readers.push((cursor.resubscribe(), queue));
-                }
-                RingStep::Drop(n) if n < readers.len() => drop(readers.remove(n)),
-                RingStep::Drop(_) => {}
-            }
-            prop_assert_eq!((ring.readers(), ring.missed()), (readers.len(), all_missed));
-            // Deep readers that are gone leave no scans behind.
-            let depth = readers.iter().map(|(_, queue)| queue.depth).max().unwrap_or(1);
-            prop_assert!(ring.lock().scans.len() <= depth);
-            for (cursor, _) in &readers {
-                let newest = cursor.latest().and_then(|scan| scan.raw_values().next());
-                prop_assert_eq!(newest, latest);
-                let (received_at, error) = cursor.freshness();
-                prop_assert_eq!(received_at.is_some(), latest.is_some());
-                prop_assert_eq!(error.map(|error| error.to_string()), news.clone());
-            }
-        }
+        check(steps);
     }
+}
+
+/// Histories of five steps, or the number in `SCIP_RING_STEPS`.
+#[test]
+fn every_short_history_of_two_readers() {
+    const STEPS: [RingStep; 11] = [
+        RingStep::Push(0),
+        RingStep::Report(0),
+        RingStep::End(Some(1)),
+        RingStep::Subscribe(2),
+        RingStep::Read(0),
+        RingStep::Read(1),
+        RingStep::Read(2),
+        RingStep::Clone(0),
+        RingStep::Resubscribe(1),
+        RingStep::Drop(0),
+        RingStep::Drop(1),
+    ];
+    let setting = std::env::var("SCIP_RING_STEPS").ok();
+    let length = setting.and_then(|text| text.parse().ok()).unwrap_or(5);
+    let count = STEPS.len().pow(length);
+    for history in 0..count {
+        let digits = (0..length).map(|place| history / STEPS.len().pow(place) % STEPS.len());
+        let steps = digits.map(|digit| STEPS[digit].clone());
+        check([RingStep::Subscribe(1), RingStep::Subscribe(2)].into_iter().chain(steps));
+    }
+    println!("{count} histories");
 }
 
 #[tokio::test]
@@ -174,13 +264,36 @@ async fn a_busy_reader_lets_other_tasks_run() {
     assert!(other.is_finished(), "a thousand scans in one go");
 }
 
+/// Waker of a task that owns a reader.
+struct Owner(#[expect(dead_code, reason = "dropped with the waker")] Cursor);
+
+impl Wake for Owner {
+    fn wake(self: Arc<Self>) {}
+}
+
+#[test]
+fn a_waker_may_drop_a_reader() {
+    let ring = Ring::new();
+    let mut reader = ring.subscribe(1);
+    let mut wait = || {
+        let waker = Waker::from(Arc::new(Owner(ring.subscribe(1))));
+        while reader.poll_next(&mut Context::from_waker(&waker)).is_ready() {}
+        ring.readers()
+    };
+    assert_eq!((wait(), wait()), (2, 2), "the first is replaced");
+    ring.push(scan());
+    assert_eq!((ring.readers(), wait()), (1, 2), "woken");
+    drop(reader);
+    assert_eq!(ring.readers(), 0);
+}
+
 #[test]
 fn a_repeat_has_all_bits_of_the_values() {
     let ring = Ring::new();
     let _reader = ring.subscribe(1);
     let long = |value: u32| {
         let like = scan();
-        Scan::new(like.window(), std::sync::Arc::<[u32]>::from([value, 7]), 0, like.meta)
+        Scan::new(like.window(), Arc::<[u32]>::from([value, 7]), 0, like.meta)
     };
     let scans = [(scan(), false), (long(1000), true), (long(1000), true)];
     let higher = [(long(1000 + 65_536), false), (long(1000 + 65_536), true), (scan(), false)];
