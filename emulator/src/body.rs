@@ -46,8 +46,8 @@ pub(crate) enum Effect {
     MotorSpeed(u8),
     /// Distance data in the reply.
     Scan,
-    /// Scans follow the reply. The laser may have been switched on for them.
-    Stream { was_off: bool },
+    /// Scans follow the reply.
+    Stream,
     /// The clock restarts at zero; with `all`, speed and baud rate are those after power-up.
     Reset { all: bool },
     /// The sensor restarts after the reply.

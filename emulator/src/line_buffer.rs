@@ -29,6 +29,11 @@ impl CommandLine {
         let letters = if self.bytes.starts_with(b"%") { 3 } else { 2 };
         self.bytes.get(..letters).unwrap_or(&self.bytes)
     }
+
+    /// Returns true for the command of one scan, in either protocol.
+    pub(crate) fn asks_for_scan(&self) -> bool {
+        self.bytes.starts_with(b"G")
+    }
 }
 
 /// Line buffer of the sensor.

@@ -16,8 +16,8 @@ pub enum Pace {
     /// As soon as the command has arrived.
     AtOnce,
     /// One command per revolution: the reply begins when the next revolution begins, as
-    /// on a real URG-04LX on USB. The motor's phase is fixed at power-up. Switching the
-    /// laser on takes one revolution more.
+    /// on a real URG-04LX on USB. The motor's phase is fixed at power-up. The first scan
+    /// after the laser was switched on takes one revolution more.
     #[default]
     PerRevolution,
 }

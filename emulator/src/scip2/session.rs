@@ -163,8 +163,8 @@ impl Session {
             }
             Command::Stream { asked, skipped, count } => {
                 self.start(line, asked, skipped, count, arrived.at);
-                let was_off = !std::mem::replace(&mut body.is_laser_on, true);
-                done(line, Effect::Stream { was_off })
+                body.is_laser_on = true;
+                done(line, Effect::Stream)
             }
             Command::Locking => {
                 self.is_locked = true;

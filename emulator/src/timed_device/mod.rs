@@ -69,6 +69,8 @@ pub(super) struct TimedDevice {
     /// The next scan of a stream is of the revolution that ends after this time. A script sends it at
     /// this time, if it is due.
     next_stream: Instant,
+    /// A scan comes at the end of a revolution after this time.
+    scans_from: Instant,
 }
 
 impl fmt::Debug for TimedDevice {
@@ -108,6 +110,7 @@ impl TimedDevice {
             unanswered_until: now,
             events: VecDeque::new(),
             next_stream: ready,
+            scans_from: ready,
         }
     }
 
@@ -191,6 +194,7 @@ impl TimedDevice {
         self.unanswered_until = now;
         self.events.clear();
         self.next_stream = self.busy_until;
+        self.scans_from = self.busy_until;
         self.is_hung_up |= self.device.body.model.is_on_ethernet();
     }
 
@@ -239,7 +243,10 @@ impl TimedDevice {
     }
 
     fn serve_at(&self, line: &CommandLine) -> Instant {
-        let free = line.at.max(self.busy_until);
+        let mut free = line.at.max(self.busy_until);
+        if line.asks_for_scan() {
+            free = free.max(self.scans_from);
+        }
         let start = self.timing.serve_at(&self.motor, free);
         match self.source.next_reply(&self.device, line, start) {
             NextReply::At(due) => due,

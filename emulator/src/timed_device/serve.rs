@@ -48,11 +48,8 @@ impl TimedDevice {
         let Answer { bytes, effect } = self.execute(at, &line, &faults);
 
         let duration = self.byte_time() * bytes.len() as u32;
-        let at = match (effect, self.timing.pace) {
-            (Effect::LaserOn | Effect::Stream { was_off: true }, Pace::PerRevolution) => {
-                at + self.motor.period()
-            }
-            (Effect::Wait(micros), _) => at + Duration::from_micros(micros),
+        let at = match effect {
+            Effect::Wait(micros) => at + Duration::from_micros(micros),
             _ => at,
         };
         let start = self.send_reply(at, bytes, faults, random);
@@ -94,7 +91,12 @@ impl TimedDevice {
     /// Does what a command has set off, once it is answered at `at`.
     fn take_effect(&mut self, at: Instant, effect: Effect) {
         match effect {
-            Effect::None | Effect::LaserOn | Effect::Wait(_) | Effect::Scan => {}
+            Effect::None | Effect::Wait(_) | Effect::Scan => {}
+            Effect::LaserOn => {
+                if self.timing.pace == Pace::PerRevolution {
+                    self.scans_from = at + self.motor.period();
+                }
+            }
             Effect::BaudRate(baud_rate) => {
                 let change = (at + self.motor.period()).max(self.transmitter.free());
                 self.schedule(change, TimedEvent::BaudRate(baud_rate));
@@ -102,7 +104,7 @@ impl TimedDevice {
             }
             Effect::MotorSpeed(percent) => self.motor.slow_down(at, percent),
             // The first scan is of a revolution that begins later.
-            Effect::Stream { .. } => self.next_stream = self.motor.next_end(at),
+            Effect::Stream => self.next_stream = self.motor.next_end(at),
             Effect::Reset { all } => {
                 self.clock.restart(at);
                 if all {
