@@ -13,7 +13,7 @@ pub use self::chain::ErrorChain;
 pub use self::kind::ErrorKind;
 use self::kind::Sentence;
 pub use self::operation::Operation;
-use crate::protocol::{MalformedError, ParameterError, ReplyError, WindowError, scip2};
+use crate::protocol::{MalformedError, ParameterError, ReplyError, WindowError};
 
 /// Why an operation failed, and what to do about it.
 ///
@@ -135,7 +135,6 @@ macro_rules! convert {
 }
 
 convert!(MalformedError, ParameterError, ReplyError, WindowError);
-convert!(scip2::MalformedError, scip2::ReplyError);
 
 impl From<std::convert::Infallible> for Error {
     fn from(never: std::convert::Infallible) -> Self {

@@ -2,11 +2,7 @@
 
 use std::time::Duration;
 
-use super::scip2::has_data;
-use super::{Status, Text, fault};
-
-/// Number of bytes of a frame to show in an error message.
-const EXCERPT: usize = 32;
+use super::{Status, Text};
 
 /// Why a frame is not the reply to a command.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -22,12 +18,29 @@ pub enum ReplyError {
     /// It begins with the command, but the rest is malformed.
     #[error(transparent)]
     Malformed(#[from] MalformedError),
+    /// It has a status of one character, as in SCIP 1.1.
+    #[error(
+        "expected SCIP 2, found the status \"{status}\" of SCIP 1.1: send SCIP2.0 to a URG-04LX"
+    )]
+    Scip1 {
+        /// Status line.
+        status: Text,
+    },
     /// It has a status of three characters, as in SCIP 2.
     #[error("expected a status of SCIP 1.1, found \"{status}\" of SCIP 2")]
     Scip2 {
         /// Status line.
         status: Text,
     },
+    /// It answers a command of SCIP 2 for several echoes a step, which another program sent.
+    #[error("expected one echo a step, found \"{found}\", which asks for several: stop it with QT")]
+    MultiEcho {
+        /// First line of the frame.
+        found: Text,
+    },
+    /// It begins with STX, as the frames of UAM safety scanners do.
+    #[error("expected SCIP 2, found a frame of the UAM safety scanners' own protocol: send MD")]
+    Uam,
 }
 
 /// Fault in the shape of a reply: where it is, what was expected there, and what was
@@ -112,52 +125,29 @@ pub enum MalformedError {
         "expected raw bytes, found CR LF line ends or telnet commands: set the terminal or the serial server to raw mode"
     )]
     NotRaw,
-    /// A reply of SCIP 2 has a fault.
-    #[error(transparent)]
-    Scip2(fault::MalformedError),
+    /// A reply of SCIP 2 has another fault.
+    #[error("expected {expected} in {}, found {found}", place(line))]
+    Scip2 {
+        /// Number of the line after the status, from 0. `None` if the fault is in the status, or if a
+        /// line is missing.
+        line: Option<usize>,
+        /// What was expected there.
+        expected: String,
+        /// What was found.
+        found: String,
+    },
 }
 
-/// Error for a reply whose status line, at the front of `rest`, is not one printable
-/// character.
-pub(super) fn no_status(rest: &[u8]) -> ReplyError {
-    let (line, _) = split_line(rest);
-    if is_scip2(line) {
-        return ReplyError::Scip2 { status: line.into() };
-    }
-    MalformedError::Status { found: Text::excerpt(line, EXCERPT) }.into()
-}
-
-/// Error for a frame that does not begin with its command.
-pub(super) fn foreign(frame: &[u8]) -> ReplyError {
-    let (echo, rest) = split_line(frame);
-    match rest.map(split_line) {
-        // In SCIP 2, `MD` and `MS` stream automatically.
-        Some((status, _)) if echo.first() == Some(&b'M') && is_scip2(status) => {
-            ReplyError::Scip2 { status: status.into() }
-        }
-        // The end of a scan, whose beginning was lost.
-        _ if has_data(frame) => ReplyError::Scip2 { status: "99b".into() },
-        _ => ReplyError::Foreign { found: Text::excerpt(echo, EXCERPT) },
+impl MalformedError {
+    pub(super) fn in_scip2(
+        line: impl Into<Option<usize>>,
+        expected: impl Into<String>,
+        found: impl Into<String>,
+    ) -> Self {
+        Self::Scip2 { line: line.into(), expected: expected.into(), found: found.into() }
     }
 }
 
-/// Splits off the first line. The rest is `None` without an LF.
-fn split_line(bytes: &[u8]) -> (&[u8], Option<&[u8]>) {
-    let length = bytes.iter().position(|&byte| byte == b'\n').unwrap_or(bytes.len());
-    let (line, rest) = bytes.split_at_checked(length).unwrap_or((bytes, b""));
-    (line, rest.get(1..))
-}
-
-/// Recognises a status of SCIP 2: two characters and their checksum. The checksum is the
-/// low six bits of their sum, plus 0x30 (`99b`), or on some sensors the sum itself
-/// (`0Eu`).
-///
-/// Without the checksum, a reply to a one-step `G` that lost the LF after its status
-/// (`0CD`) would pass for one.
-fn is_scip2(status: &[u8]) -> bool {
-    let &[a, b, sum] = status else { return false };
-    let total = a.wrapping_add(b);
-    a.is_ascii_alphanumeric()
-        && b.is_ascii_alphanumeric()
-        && (sum == (total & 0x3f) + 0x30 || sum == total)
+fn place(line: &Option<usize>) -> String {
+    line.map_or_else(|| "the reply".into(), |line| format!("line {line}"))
 }

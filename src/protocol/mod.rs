@@ -20,7 +20,6 @@
 mod baud;
 mod codes;
 mod command;
-mod fault;
 mod generation;
 mod geometry;
 mod malformed;

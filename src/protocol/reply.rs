@@ -7,9 +7,9 @@
 use std::iter::repeat_n;
 use std::sync::Arc;
 
-use super::malformed::{foreign, no_status};
+use super::scip2::has_data;
 use super::window::BLOCK;
-use super::{Command, MalformedError, ReplyError, Status, Version};
+use super::{Command, MalformedError, ReplyError, Status, Text, Version};
 
 /// First of the 64 characters that carry 6 bits (p. 5).
 const FIRST_CHARACTER: u8 = 0x30;
@@ -179,4 +179,49 @@ fn find_fault(data: &[u8], expected: usize) -> Result<(), MalformedError> {
 /// Returns true for the 64 characters that carry 6 bits: `0` to `o`.
 const fn is_character(byte: u8) -> bool {
     byte.wrapping_sub(FIRST_CHARACTER) < 64
+}
+
+/// Error for a reply whose status line, at the front of `rest`, is not one printable
+/// character.
+fn no_status(rest: &[u8]) -> ReplyError {
+    let (line, _) = split_line(rest);
+    if is_scip2(line) {
+        return ReplyError::Scip2 { status: line.into() };
+    }
+    MalformedError::Status { found: Text::excerpt(line) }.into()
+}
+
+/// Error for a frame that does not begin with its command.
+fn foreign(frame: &[u8]) -> ReplyError {
+    let (echo, rest) = split_line(frame);
+    match rest.map(split_line) {
+        // In SCIP 2, `MD` and `MS` stream automatically.
+        Some((status, _)) if echo.first() == Some(&b'M') && is_scip2(status) => {
+            ReplyError::Scip2 { status: status.into() }
+        }
+        // The end of a scan, whose beginning was lost.
+        _ if has_data(frame) => ReplyError::Scip2 { status: "99b".into() },
+        _ => ReplyError::Foreign { found: Text::excerpt(echo) },
+    }
+}
+
+/// Splits off the first line. The rest is `None` without an LF.
+fn split_line(bytes: &[u8]) -> (&[u8], Option<&[u8]>) {
+    let length = bytes.iter().position(|&byte| byte == b'\n').unwrap_or(bytes.len());
+    let (line, rest) = bytes.split_at_checked(length).unwrap_or((bytes, b""));
+    (line, rest.get(1..))
+}
+
+/// Recognises a status of SCIP 2: two characters and their checksum. The checksum is the
+/// low six bits of their sum, plus 0x30 (`99b`), or on some sensors the sum itself
+/// (`0Eu`).
+///
+/// Without the checksum, a reply to a one-step `G` that lost the LF after its status
+/// (`0CD`) would pass for one.
+fn is_scip2(status: &[u8]) -> bool {
+    let &[a, b, sum] = status else { return false };
+    let total = a.wrapping_add(b);
+    a.is_ascii_alphanumeric()
+        && b.is_ascii_alphanumeric()
+        && (sum == (total & 0x3f) + 0x30 || sum == total)
 }

@@ -39,9 +39,9 @@ impl Text {
         self.0.iter().all(|byte| matches!(byte, b' '..=b'~'))
     }
 
-    /// Copies the first `limit` bytes at most, so that a message stays short.
-    pub(crate) fn excerpt(bytes: &[u8], limit: usize) -> Self {
-        Self::from(bytes.get(..limit).unwrap_or(bytes))
+    /// Copies the first 32 bytes at most, so that a message stays short.
+    pub(super) fn excerpt(bytes: &[u8]) -> Self {
+        Self::from(bytes.get(..32).unwrap_or(bytes))
     }
 }
 

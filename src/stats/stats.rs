@@ -1,6 +1,6 @@
 //! [`Stats`]: counters of everything that the driver does.
 
-use crate::protocol::{MalformedError, ReplyError, scip2};
+use crate::protocol::{MalformedError, ReplyError};
 use crate::stats::{LatencyStats, MotorStats};
 use crate::{BaudRate, Rate, Window};
 
@@ -81,22 +81,18 @@ impl MalformedCounts {
         self.echo + self.status + self.length + self.character + self.overlong + self.line
     }
 
-    pub(crate) fn count_scip2(&mut self, error: &scip2::ReplyError) {
-        let counter = match error {
-            scip2::ReplyError::Malformed(malformed) if malformed.line().is_some() => &mut self.line,
-            scip2::ReplyError::Malformed(_) | scip2::ReplyError::Scip1(_) => &mut self.status,
-            _ => &mut self.echo,
-        };
-        *counter += 1;
-    }
-
     pub(crate) fn count(&mut self, error: &ReplyError) {
         let counter = match error {
-            ReplyError::Foreign { .. } => &mut self.echo,
-            ReplyError::Scip2 { .. } => &mut self.status,
+            ReplyError::Foreign { .. } | ReplyError::MultiEcho { .. } | ReplyError::Uam => {
+                &mut self.echo
+            }
+            ReplyError::Scip1 { .. } | ReplyError::Scip2 { .. } => &mut self.status,
             ReplyError::Malformed(malformed) => match malformed {
                 MalformedError::Echo { .. } | MalformedError::Early { .. } => &mut self.echo,
-                MalformedError::NoStatus | MalformedError::Status { .. } => &mut self.status,
+                MalformedError::Scip2 { line: Some(_), .. } => &mut self.line,
+                MalformedError::NoStatus
+                | MalformedError::Status { .. }
+                | MalformedError::Scip2 { line: None, .. } => &mut self.status,
                 MalformedError::Character { .. } => &mut self.character,
                 MalformedError::Overlong { .. } | MalformedError::NotRaw => &mut self.overlong,
                 _ => &mut self.length,

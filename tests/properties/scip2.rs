@@ -2,9 +2,8 @@
 //! protocol text C-42-03320B, and share no code with the crate.
 
 use tokio_scip::Window;
-use tokio_scip::protocol::scip2::{
-    Command, Content, Data, Label, Reply, ReplyError, Request, Stamp, Stream,
-};
+use tokio_scip::protocol::ReplyError;
+use tokio_scip::protocol::scip2::{Command, Content, Data, Label, Reply, Request, Stamp, Stream};
 
 use super::script::Script;
 
@@ -192,7 +191,7 @@ pub(crate) fn only_scans_of_the_text_are_accepted(script: &[u8]) {
             assert_eq!(time, stamp, "{shown}");
             assert_eq!((scan.distances(), scan.intensities()), (&distances[..], &intensities[..]));
         }
-        Err(ReplyError::Foreign(_) | ReplyError::MultiEcho(_) | ReplyError::Uam) => {
+        Err(ReplyError::Foreign { .. } | ReplyError::MultiEcho { .. } | ReplyError::Uam) => {
             assert!(!frame.starts_with(&[&case.echo[..], b"\n"].concat()), "{shown}");
         }
         Err(error) => {

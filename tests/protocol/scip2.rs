@@ -2,9 +2,9 @@
 //! sensors. Serial numbers are invented.
 
 use tokio_scip::protocol::scip2::{
-    Command, Content, Data, Label, MotorSpeed, Reply, ReplyError, Request, Stamp, Status, Stream,
+    Command, Content, Data, Label, MotorSpeed, Reply, Request, Stamp, Status, Stream,
 };
-use tokio_scip::protocol::{BaudRate, Version, Window};
+use tokio_scip::protocol::{BaudRate, ReplyError, Version, Window};
 
 fn window(first: u16, last: u16) -> Window {
     Window::new(first..=last).unwrap()
@@ -145,7 +145,7 @@ fn a_stream_counts_down() {
     assert_eq!(scan.left, 4);
     // More scans left than were asked for.
     let more = "%ME0005000501010\n99b\n0062R@H8290e\nA5`0GLI";
-    assert!(matches!(parse(command, more), Err(ReplyError::Foreign(_))));
+    assert!(matches!(parse(command, more), Err(ReplyError::Foreign { .. })));
 }
 
 #[test]
@@ -321,7 +321,7 @@ fn an_error_names_line_and_cause() {
         ),
         ("GD0000000101\n00P\n01_2b\n0CB>oo1", "expected the sum 0x41 in line 1, found 0x31"),
         ("GD0000000101\n00P\n01_2b\n0CB>ooA\n0", "expected none in line 2, found 1 bytes"),
-        ("GD0000000100\n00P", "expected the echo of the request, found \"GD0000000100\""),
+        ("GD0000000100\n00P", "expected the echo of the command, found \"GD0000000100\""),
     ] {
         assert_eq!(error(&request, frame), text, "{frame}");
     }
@@ -366,9 +366,9 @@ fn a_reply_to_another_label_is_foreign() {
     let [old, new] = [7, 8].map(|n| Request::new(Command::LaserOn, Label::numbered(n)));
     let frame = [old.bytes(), b"\n00P"].concat();
     assert!(Reply::parse(&old, &frame).is_ok());
-    assert!(matches!(Reply::parse(&new, &frame), Err(ReplyError::Foreign(_))));
+    assert!(matches!(Reply::parse(&new, &frame), Err(ReplyError::Foreign { .. })));
     let unlabelled = Request::new(Command::LaserOn, None);
-    assert!(matches!(Reply::parse(&unlabelled, &frame), Err(ReplyError::Foreign(_))));
+    assert!(matches!(Reply::parse(&unlabelled, &frame), Err(ReplyError::Foreign { .. })));
 }
 
 /// What a sum cannot see, as the documentation says.

@@ -7,7 +7,7 @@ use super::super::failure::{ExchangeError, LinkError};
 use super::super::transport::NoFrame;
 use crate::ErrorKind;
 use crate::error::Operation;
-use crate::protocol::{MalformedError, Text};
+use crate::protocol::{MalformedError, Protocol, ReplyError, Text};
 use crate::state::Shared;
 
 /// Command that can fail.
@@ -25,6 +25,23 @@ pub(super) fn timeout(asked: &impl Asked, after: Duration) -> ErrorKind {
 
 pub(super) fn malformed(asked: &impl Asked, source: MalformedError) -> ErrorKind {
     ErrorKind::Malformed { operation: asked.operation(), command: asked.text(), source }
+}
+
+/// Converts the error of a reply.
+pub(super) fn bad_reply(asked: &impl Asked, error: ReplyError) -> ErrorKind {
+    let source = match error {
+        ReplyError::Malformed(source) => source,
+        ReplyError::Scip2 { status } => {
+            return ErrorKind::WrongProtocol { expected: Protocol::Scip1, status };
+        }
+        // Damaged, or from a URG-04LX that has restarted: then it answers nothing else either.
+        ReplyError::Scip1 { status } => MalformedError::Status { found: status },
+        ReplyError::Foreign { found } | ReplyError::MultiEcho { found } => {
+            MalformedError::Echo { found }
+        }
+        ReplyError::Uam => MalformedError::Echo { found: Text::default() },
+    };
+    malformed(asked, source)
 }
 
 pub(super) fn refused(

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::command::{Data, LINE};
-use super::lines::{FIRST_CHARACTER, block, number};
-use super::malformed::{MalformedError, quoted};
+use super::lines::{FIRST_CHARACTER, block, number, quoted};
+use crate::protocol::MalformedError;
 
 /// Values of three characters in three full lines: a value that runs over the end of a line never
 /// runs over the end of these.
@@ -33,7 +33,7 @@ impl Stamp {
             4 => u32::try_from(number).map(Self::Milliseconds),
             _ => u64::try_from(number).map(Self::Microseconds),
         };
-        stamp.map_err(|_| MalformedError::new(0, "a time below 2^64", quoted(characters)))
+        stamp.map_err(|_| MalformedError::in_scip2(0, "a time below 2^64", quoted(characters)))
     }
 
     /// Time since the clock was last at 0.

@@ -4,9 +4,8 @@ use std::fmt::Debug;
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 
-use super::lines::{number, pair};
-use super::malformed::{MalformedError, quoted};
-use crate::protocol::{Codes, Geometry, Text, Version};
+use super::lines::{number, pair, quoted};
+use crate::protocol::{Codes, Geometry, MalformedError, Text, Version};
 
 /// Parses the data of a reply to `VV`.
 pub(super) fn version<'a>(data: &'a [u8]) -> Result<Version, MalformedError> {
@@ -34,7 +33,11 @@ pub(super) fn version<'a>(data: &'a [u8]) -> Result<Version, MalformedError> {
         ("SERI", &version.serial_number),
     ] {
         if value.is_empty() || !value.is_printable() {
-            return Err(MalformedError::new(None, format!("{key}:text"), quoted(value.as_bytes())));
+            return Err(MalformedError::in_scip2(
+                None,
+                format!("{key}:text"),
+                quoted(value.as_bytes()),
+            ));
         }
     }
     Ok(version)
@@ -114,7 +117,7 @@ impl Parameters {
     /// let pairs = text.split(' ').filter_map(|pair| pair.split_once(':'));
     /// let geometry = Parameters::from_pairs(pairs)?.geometry();
     /// assert_eq!(geometry.degrees(1080), 135.0);
-    /// # Ok::<(), tokio_scip::protocol::scip2::MalformedError>(())
+    /// # Ok::<(), tokio_scip::protocol::MalformedError>(())
     /// ```
     pub fn from_pairs<'a, T: AsRef<[u8]> + ?Sized + 'a>(
         pairs: impl IntoIterator<Item = (&'a T, &'a T)>,
@@ -172,7 +175,7 @@ fn whole<N: FromStr + PartialOrd + Debug>(
     let number = std::str::from_utf8(found).ok().and_then(|text| text.parse().ok());
     number
         .filter(|number| valid.contains(number))
-        .ok_or_else(|| MalformedError::new(None, format!("{key}:{valid:?}"), quoted(found)))
+        .ok_or_else(|| MalformedError::in_scip2(None, format!("{key}:{valid:?}"), quoted(found)))
 }
 
 /// State of a sensor: its reply to `II` (p. 22). Fields that a sensor leaves out are empty.

@@ -1,10 +1,15 @@
 //! Lines and their sums.
 
 use super::command::LINE;
-use super::malformed::{MalformedError, quoted};
+use crate::protocol::{MalformedError, Text};
 
 /// First of the 64 characters that carry 6 bits (p. 6).
 pub(super) const FIRST_CHARACTER: u8 = 0x30;
+
+/// First bytes in quotes, safe to show.
+pub(super) fn quoted(bytes: &[u8]) -> String {
+    format!("\"{}\"", Text::excerpt(bytes))
+}
 
 /// Sum of a line's bytes: its low six bits, as a character (p. 9).
 pub(super) fn sum(bytes: &[u8]) -> u8 {
@@ -23,7 +28,7 @@ fn check_sum(line: usize, expected: u8, found: u8) -> Result<(), MalformedError>
         return Ok(());
     }
     let (expected, found) = (format!("the sum 0x{expected:02x}"), format!("0x{found:02x}"));
-    Err(MalformedError::new(line, expected, found))
+    Err(MalformedError::in_scip2(line, expected, found))
 }
 
 /// Checks a line of this number of characters, and returns them without their sum.
@@ -36,11 +41,11 @@ pub(super) fn characters(
         bytes.split_last().filter(|_| expected > 0 && bytes.len() == expected + 1)
     else {
         let expected = if expected > 0 { format!("{} bytes", expected + 1) } else { "none".into() };
-        return Err(MalformedError::new(line, expected, format!("{} bytes", bytes.len())));
+        return Err(MalformedError::in_scip2(line, expected, format!("{} bytes", bytes.len())));
     };
     if let Some(at) = characters.iter().position(|byte| byte.wrapping_sub(FIRST_CHARACTER) >= 64) {
         let found = characters.get(at..).unwrap_or_default();
-        return Err(MalformedError::new(line, "characters from '0' to 'o'", quoted(found)));
+        return Err(MalformedError::in_scip2(line, "characters from '0' to 'o'", quoted(found)));
     }
     check_sum(line, sum(characters), found).map(|()| characters)
 }
@@ -54,7 +59,7 @@ pub(super) fn block(data: &[u8], first_line: usize, count: usize) -> Result<(), 
     }
     match left {
         0 => Ok(()),
-        _ => Err(MalformedError::new(line, format!("{left} more characters"), "the end")),
+        _ => Err(MalformedError::in_scip2(line, format!("{left} more characters"), "the end")),
     }
 }
 
@@ -71,7 +76,7 @@ pub(super) fn pair(
     (line, bytes): (usize, &[u8]),
     may_end_early: bool,
 ) -> Result<(&[u8], &[u8]), MalformedError> {
-    let malformed = || MalformedError::new(line, "key:value; and a sum", quoted(bytes));
+    let malformed = || MalformedError::in_scip2(line, "key:value; and a sum", quoted(bytes));
     let [pair @ .., b';', found] = bytes else { return Err(malformed()) };
     // The sum does not see bit 6: it may have changed a letter into a control character.
     let is_text = pair.iter().all(|byte| matches!(byte, b' '..=b'~'));

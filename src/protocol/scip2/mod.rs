@@ -42,7 +42,6 @@ mod data;
 mod identity;
 mod label;
 mod lines;
-mod malformed;
 mod reply;
 mod status;
 
@@ -51,6 +50,5 @@ pub use data::{Scan, Stamp};
 pub use identity::{Parameters, State};
 pub use label::Label;
 pub(crate) use lines::has_data;
-pub use malformed::{MalformedError, ReplyError};
 pub use reply::{Content, Reply};
 pub use status::Status;

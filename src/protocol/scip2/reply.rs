@@ -3,10 +3,9 @@
 use super::command::{Command, Request};
 use super::data::{Scan, Stamp};
 use super::identity::{Parameters, State, version};
-use super::lines::{characters, sum};
-use super::malformed::{MalformedError, ReplyError, foreign, quoted};
+use super::lines::{characters, quoted, sum};
 use super::status::Status;
-use crate::protocol::Version;
+use crate::protocol::{MalformedError, ReplyError, Text, Version};
 
 /// Complete, well-formed reply to a [`Request`].
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -57,11 +56,11 @@ impl Reply {
         let (line, data) = (parts.next().unwrap_or_default(), parts.next());
         let status = match line {
             &[a, b, found] if sum(&[a, b]) == found => Status::new([a, b]),
-            [b'!'..=b'~'] => return Err(ReplyError::Scip1(line.into())),
+            [b'!'..=b'~'] => return Err(ReplyError::Scip1 { status: line.into() }),
             _ => None,
         };
         let status = status.ok_or_else(|| {
-            MalformedError::new(None, "a status of two characters and their sum", quoted(line))
+            MalformedError::in_scip2(None, "a status of two characters and their sum", quoted(line))
         })?;
         let command = request.command();
         let has_data = match command {
@@ -71,7 +70,7 @@ impl Reply {
         } && status.is_ok();
         let content = match (data, has_data) {
             (None, false) => Content::Nothing,
-            (None, true) => return Err(MalformedError::new(0, "data", "the end").into()),
+            (None, true) => return Err(MalformedError::in_scip2(0, "data", "the end").into()),
             (Some(data), false) => return Err(unexpected(0, data).into()),
             (Some(data), true) => content(command, left, data)?,
         };
@@ -79,8 +78,19 @@ impl Reply {
     }
 }
 
+/// Error for a frame that does not begin with its request.
+fn foreign(frame: &[u8]) -> ReplyError {
+    let echo = frame.split(|&byte| byte == b'\n').next().unwrap_or_default();
+    let found = Text::excerpt(echo);
+    match frame {
+        [0x02, ..] => ReplyError::Uam,
+        [b'H' | b'N', b'D' | b'E', b'0'..=b'9', ..] => ReplyError::MultiEcho { found },
+        _ => ReplyError::Foreign { found },
+    }
+}
+
 fn unexpected(line: usize, data: &[u8]) -> MalformedError {
-    MalformedError::new(line, "the end", quoted(data))
+    MalformedError::in_scip2(line, "the end", quoted(data))
 }
 
 fn content(command: &Command, left: u8, data: &[u8]) -> Result<Content, MalformedError> {
@@ -97,7 +107,7 @@ fn content(command: &Command, left: u8, data: &[u8]) -> Result<Content, Malforme
         (Some((kind, points)), Some(rest)) => {
             Scan::parse(Stamp::parse(first)?, left, rest, kind, points).map(Content::Scan)
         }
-        (Some(_), None) => Err(MalformedError::new(1, "data", "the end")),
+        (Some(_), None) => Err(MalformedError::in_scip2(1, "data", "the end")),
         (None, Some(rest)) => Err(unexpected(1, rest)),
         (None, None) => match first {
             &[a, b, c] => Ok(Content::StateCode([a, b, c])),

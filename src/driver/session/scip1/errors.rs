@@ -1,9 +1,9 @@
 //! Errors of SCIP 1.1's commands.
 
-use super::super::errors::{self, Asked, malformed};
+use super::super::errors::{self, Asked};
 use crate::ErrorKind;
 use crate::error::Operation;
-use crate::protocol::{Command, MalformedError, Protocol, ReplyError, Status, Text};
+use crate::protocol::{Command, Status, Text};
 
 impl Asked for Command {
     fn operation(&self) -> Operation {
@@ -23,17 +23,6 @@ impl Asked for Command {
 
 pub(super) fn refused(command: &Command, status: Status) -> ErrorKind {
     errors::refused(command, status.into(), status.meaning(command))
-}
-
-/// Converts the error of a reply to `command`.
-pub(super) fn bad_reply(command: &Command, error: ReplyError) -> ErrorKind {
-    match error {
-        ReplyError::Malformed(source) => malformed(command, source),
-        ReplyError::Scip2 { status } => {
-            ErrorKind::WrongProtocol { expected: Protocol::Scip1, status }
-        }
-        ReplyError::Foreign { found } => malformed(command, MalformedError::Echo { found }),
-    }
 }
 
 #[cfg(test)]

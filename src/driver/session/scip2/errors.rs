@@ -1,10 +1,9 @@
 //! Errors of SCIP 2's commands.
 
-use super::super::errors::{Asked, malformed};
-use crate::ErrorKind;
+use super::super::errors::Asked;
 use crate::error::Operation;
-use crate::protocol::scip2::{Command, ReplyError, Request};
-use crate::protocol::{MalformedError, Text};
+use crate::protocol::Text;
+use crate::protocol::scip2::{Command, Request};
 
 impl Asked for Request {
     fn operation(&self) -> Operation {
@@ -21,16 +20,4 @@ impl Asked for Request {
         // The label differs each time, and says nothing to a reader.
         self.command().to_string().into()
     }
-}
-
-/// Converts the error of a reply to `request`.
-pub(super) fn bad_reply(request: &Request, error: ReplyError) -> ErrorKind {
-    let source = match error {
-        ReplyError::Malformed(source) => MalformedError::Scip2(source),
-        // Damaged, or from a URG-04LX that has restarted: then it answers nothing else either.
-        ReplyError::Scip1(found) => MalformedError::Status { found },
-        ReplyError::Foreign(found) | ReplyError::MultiEcho(found) => MalformedError::Echo { found },
-        ReplyError::Uam => MalformedError::Echo { found: Text::default() },
-    };
-    malformed(request, source)
 }

@@ -5,12 +5,11 @@ use std::time::Duration;
 
 use super::super::super::failure::ExchangeError;
 use super::super::super::transport::{Expected, ReplyTimes};
-use super::super::errors::{record_silence, refused};
-use super::errors::bad_reply;
+use super::super::errors::{bad_reply, record_silence, refused};
 use super::{LIMITS, Scip2};
 use crate::codec::FoundFrame;
-use crate::protocol::scip2::{Command, Content, Reply, ReplyError, Request, Status};
-use crate::protocol::{Protocol, Text};
+use crate::protocol::scip2::{Command, Content, Reply, Request, Status};
+use crate::protocol::{Protocol, ReplyError, Text};
 use crate::state::{KnownFrame, Shared};
 use crate::{BaudRate, ErrorKind, RawReply};
 
@@ -185,7 +184,7 @@ pub(super) fn record_malformed(
     wire_len: u64,
 ) -> ExchangeError {
     let mut stats = shared.counters.stats();
-    stats.malformed.count_scip2(&error);
+    stats.malformed.count(&error);
     stats.bytes_skipped += wire_len;
     drop(stats);
     let error = bad_reply(request, error);

@@ -18,9 +18,8 @@ use super::super::{Acquired, Streamed};
 use super::exchange::{accepted, find_own, is_like_a_stream, raw_reply, record_malformed, refusal};
 use super::{LIMITS, Scip2, State, acquired};
 use crate::codec::FoundFrame;
-use crate::protocol::scip2::{
-    Command, Content, Reply, ReplyError, Request, Scan, Stamp, Status, Stream,
-};
+use crate::protocol::ReplyError;
+use crate::protocol::scip2::{Command, Content, Reply, Request, Scan, Stamp, Status, Stream};
 use crate::state::Shared;
 use crate::{BaudRate, Error, ErrorKind, Geometry, Window};
 
