@@ -1,6 +1,7 @@
 """What the scripts share: packages in a temporary folder, and the comparison at the end."""
 
 import atexit
+import ctypes
 import os
 import platform
 import shutil
@@ -57,6 +58,32 @@ def debian(*packages):
     os.environ["LD_LIBRARY_PATH"] = libraries
     os.environ["PATH"] = f"{root}/usr/bin:{root}/usr/sbin:{os.environ['PATH']}"
     return root
+
+
+def ser2net():
+    """Unpacks ser2net with what it needs."""
+    root = debian("ser2net=4.3.11-1", "libgensio4=2.6.2-4", "libwrap0=7.6.q-32", "libnsl2=1.3.0-2",
+                  "libtirpc3=1.3.3+ds-1", "libyaml-0-2=0.2.5-1", "libsctp1=1.0.19+dfsg-2",
+                  "libavahi-client3=0.8-10+deb12u1", "libavahi-common3=0.8-10+deb12u1",
+                  "libdbus-1-3=1.14.10-1~deb12u1")
+    parts = f"usr/libexec/{platform.machine()}-linux-gnu/gensio/2.6.2"
+    os.environ["GENSIO_LIBRARY_PATH"] = str(root / parts)
+
+
+def network():
+    """Leaves for a network of its own, with the address 10.0.0.1."""
+    user = os.getuid()
+    # A namespace of users, too, to be root in it.
+    if ctypes.CDLL(None).unshare(0x5000_0000):
+        sys.exit("this system permits no namespaces")
+    Path("/proc/self/uid_map").write_text(f"0 {user} 1")
+    for words in [("link", "set", "lo", "up", "multicast", "on"), ("address", "add", "10.0.0.1", "dev", "lo"),
+                  ("route", "add", "224.0.0.0/4", "dev", "lo")]:
+        ip(*words)
+
+
+def ip(*words):
+    subprocess.run(["ip", *words], check=True)
 
 
 def free_port():

@@ -12,16 +12,14 @@ import pty
 import subprocess
 import tty
 
-from place import PLACE, compare, debian, free_port, pypi, run, connect
+from place import PLACE, compare, connect, free_port, pypi, run, ser2net
 
 pypi("pyserial==3.5")
 import serial  # noqa: E402
 
 _owner, program = pty.openpty()
 tty.setraw(program)
-debian("ser2net=4.3.11-1", "libgensio4=2.6.2-4", "libyaml-0-2=0.2.5-1", "libsctp1=1.0.19+dfsg-2",
-       "libavahi-client3=0.8-10+deb12u1", "libavahi-common3=0.8-10+deb12u1",
-       "libdbus-1-3=1.14.10-1~deb12u1")
+ser2net()
 ports = {"socket": ("tcp", free_port()), "rfc2217": ("telnet(rfc2217),tcp", free_port())}
 configuration = PLACE / "ser2net.yaml"
 configuration.write_text("%YAML 1.1\n---\n" + "".join(

@@ -12,13 +12,11 @@ import pty
 import subprocess
 import tty
 
-from place import PLACE, compare, connect, debian, free_port, run
+from place import PLACE, compare, connect, free_port, run, ser2net
 
 _owner, program = pty.openpty()
 tty.setraw(program)
-debian("ser2net=4.3.11-1", "libgensio4=2.6.2-4", "libyaml-0-2=0.2.5-1", "libsctp1=1.0.19+dfsg-2",
-       "libavahi-client3=0.8-10+deb12u1", "libavahi-common3=0.8-10+deb12u1",
-       "libdbus-1-3=1.14.10-1~deb12u1")
+ser2net()
 there, away = free_port(), free_port()
 devices = {there: os.ttyname(program), away: PLACE / "away"}
 configuration = PLACE / "ser2net.yaml"
