@@ -1,14 +1,11 @@
 //! Commands of SCIP 1.1 and their bytes.
 
-use std::fmt;
+use std::fmt::{self, Write};
 use std::ops::Deref;
 use std::time::Duration;
 
 use super::window::LAST;
-use super::{BaudRate, Window};
-
-/// Reserved digits of `S`: echoed, without effect on the sensor (p. 5).
-const RESERVED: &[u8; 7] = b"0000000";
+use super::{BaudRate, Bytes, Window};
 
 /// One of the four commands, with its parameters (C-42-3320-A p. 3).
 ///
@@ -40,19 +37,18 @@ pub enum Command {
 
 impl Command {
     /// Bytes to send, without the terminator. A reply begins with the same bytes.
-    pub fn bytes(&self) -> impl Deref<Target = [u8]> + Copy + use<> {
-        let mut out = CommandBytes { bytes: [0; CommandBytes::CAPACITY], len: 0 };
-        match self {
+    pub fn bytes(&self) -> impl Deref<Target = [u8]> + fmt::Display + Copy + use<> {
+        // The longest is `S` with its parameters.
+        let mut out = Bytes::<14>::new();
+        // Never fails: there is room.
+        let _ = match self {
             Self::Version => out.push(b"V"),
             Self::LaserOn => out.push(b"L1"),
             Self::LaserOff => out.push(b"L0"),
-            Self::BaudRate(baud_rate) => {
-                out.push(b"S");
-                out.push(&digits::<6>(baud_rate.bits_per_second()));
-                out.push(RESERVED);
-            }
+            // The zeros are reserved: echoed, without effect on the sensor (p. 5).
+            Self::BaudRate(rate) => write!(out, "S{:06}0000000", rate.bits_per_second()),
             Self::Distances(window) => out.push(&distances(window)),
-        }
+        };
         out
     }
 
@@ -90,37 +86,7 @@ impl Command {
 
 impl fmt::Display for Command {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for &byte in self.bytes().iter() {
-            write!(f, "{}", char::from(byte))?;
-        }
-        Ok(())
-    }
-}
-
-/// Bytes of a [`Command`], 1 to 14, without a terminator.
-#[derive(Debug, Clone, Copy)]
-struct CommandBytes {
-    bytes: [u8; Self::CAPACITY],
-    len: usize,
-}
-
-impl CommandBytes {
-    /// `S`, six digits and seven more: the longest command.
-    const CAPACITY: usize = 14;
-
-    fn push<const N: usize>(&mut self, part: &[u8; N]) {
-        if let Some(slot) = self.bytes.get_mut(self.len..).and_then(<[u8]>::first_chunk_mut) {
-            *slot = *part;
-        }
-        self.len += N;
-    }
-}
-
-impl Deref for CommandBytes {
-    type Target = [u8];
-
-    fn deref(&self) -> &[u8] {
-        self.bytes.get(..self.len).unwrap_or(&self.bytes)
+        self.bytes().fmt(f)
     }
 }
 

@@ -25,9 +25,8 @@ pub struct Geometry {
     pub(super) max_distance: u32,
     #[cfg_attr(feature = "serde", serde(skip))]
     pub(super) motor_speed: u16,
-    /// Values that are no distance. `None` stands for SCIP 1.1.
     #[cfg_attr(feature = "serde", serde(skip))]
-    pub(super) codes: Option<Codes>,
+    pub(super) codes: Codes,
 }
 
 impl Geometry {
@@ -41,7 +40,7 @@ impl Geometry {
         min_distance: 20,
         max_distance: 4094,
         motor_speed: 600,
-        codes: None,
+        codes: Codes::Scip1,
     };
 
     /// Geometry of a sensor of SCIP 1.1: what its firmware line tells, and a URG-04LX's for the rest.
@@ -64,8 +63,8 @@ impl Geometry {
     /// Protocol that the sensor speaks.
     pub const fn protocol(&self) -> Protocol {
         match self.codes {
-            None => Protocol::Scip1,
-            Some(_) => Protocol::Scip2,
+            Codes::Scip1 => Protocol::Scip1,
+            _ => Protocol::Scip2,
         }
     }
 
@@ -98,32 +97,32 @@ impl Geometry {
     /// Interprets a value that the sensor sent. Only a value in [`distances`](Self::distances) is a
     /// distance, and not if it is an error code of the model.
     pub const fn measurement(&self, value: u32) -> Measurement {
-        match ErrorCode::from_value(value, self.codes) {
-            Some(code) => Measurement::Error(code),
-            None if value > self.max_distance => Measurement::Saturated(value),
-            None if value < self.min_distance => {
-                Measurement::Error(ErrorCode::too_small(value, self.codes))
-            }
-            None => Measurement::Distance(value),
+        let is_code = self.codes.meaning(value).is_some();
+        if !is_code && value > self.max_distance {
+            Measurement::Saturated(value)
+        } else if is_code || value < self.min_distance {
+            Measurement::Error(ErrorCode { value, codes: self.codes })
+        } else {
+            Measurement::Distance(value)
         }
     }
 
     /// Value of a step that was not measured: its range is `NaN`.
     pub const fn unknown_value(&self) -> u32 {
         match self.codes {
-            None | Some(Codes::Urg) => 19,
-            Some(_) => 0,
+            Codes::Scip1 | Codes::Urg => 19,
+            _ => 0,
         }
     }
 
     /// Value of a step whose object may be beyond the range: its range is `+Inf`.
     pub const fn far_value(&self) -> u32 {
         match self.codes {
-            None => 16,
-            Some(Codes::Urg) => 0,
-            Some(Codes::Utm) => 1,
-            Some(Codes::Ethernet) => 65_533,
-            Some(Codes::Unknown) => self.max_distance.saturating_add(1),
+            Codes::Scip1 => 16,
+            Codes::Urg => 0,
+            Codes::Utm => 1,
+            Codes::Ethernet => 65_533,
+            Codes::Unknown => self.max_distance.saturating_add(1),
         }
     }
 
@@ -141,23 +140,23 @@ impl Geometry {
     /// its rear, newer sensors at the end of their last step.
     pub(crate) fn end(&self) -> u32 {
         match self.codes {
-            None | Some(Codes::Urg) => {
+            Codes::Scip1 | Codes::Urg => {
                 2 * u32::from(self.front_step) + u32::from(self.steps_per_revolution)
             }
-            Some(_) => 2 * (u32::from(self.last_step) + 1),
+            _ => 2 * (u32::from(self.last_step) + 1),
         }
     }
 
     /// Returns true if values have at most 12 bits, as in SCIP 1.1.
     pub(crate) const fn has_short_values(&self) -> bool {
-        self.codes.is_none()
+        matches!(self.codes, Codes::Scip1)
     }
 
     /// Steps that the sensor answers for. In SCIP 1.1 there are more than it measures.
     pub const fn answered_steps(&self) -> RangeInclusive<u16> {
         match self.codes {
-            None => 0..=768,
-            Some(_) => self.steps(),
+            Codes::Scip1 => 0..=768,
+            _ => self.steps(),
         }
     }
 

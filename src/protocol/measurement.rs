@@ -58,66 +58,34 @@ impl Measurement {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize), serde(into = "u32"))]
 pub struct ErrorCode {
-    value: u32,
-    /// Codes of the model. `None` stands for SCIP 1.1.
-    codes: Option<Codes>,
+    pub(super) value: u32,
+    pub(super) codes: Codes,
 }
 
 impl ErrorCode {
-    /// Returns the error code with this number, if it is one of these codes.
-    pub(super) const fn from_value(value: u32, codes: Option<Codes>) -> Option<Self> {
-        let is_code = match codes {
-            None => value < 20,
-            Some(codes) => codes.meaning(value).is_some(),
-        };
-        if is_code { Some(Self { value, codes }) } else { None }
-    }
-
-    /// Creates the error code of a value below all distances.
-    pub(super) const fn too_small(value: u32, codes: Option<Codes>) -> Self {
-        Self { value, codes }
-    }
-
     /// Its meaning. In SCIP 1.1 these are the words of the protocol text (p. 7).
     pub const fn meaning(self) -> &'static str {
-        if let Some(codes) = self.codes {
-            return match codes.meaning(self.value) {
-                Some(meaning) => meaning,
-                None => "value below the measurable distances",
-            };
-        }
-        match self.value {
-            0 => "Possibility of detected object is at 22m",
-            1..=5 => "Reflected light has low intensity",
-            6 => "Possibility of detected object is at 5.7m",
-            7 => "Distance data on the preceding and succeeding steps have errors",
-            9 => "The same step had error in the last two scan",
-            16 => "Possibility of detected object is in the range 4096mm~5.6m",
-            18 => "Unspecified",
-            19 => "Non-Measurable Distance",
-            _ => "Others",
+        match self.codes.meaning(self.value) {
+            Some(meaning) => meaning,
+            None => "value below the measurable distances",
         }
     }
 
     /// Returns true if too little light came back: the codes 1 to 5 in SCIP 1.1, and 1 and 2 of a URG
     /// in SCIP 2.
     pub const fn is_low_intensity(self) -> bool {
-        match self.codes {
-            None => matches!(self.value, 1..=5),
-            Some(Codes::Urg) => matches!(self.value, 1 | 2),
-            Some(_) => false,
-        }
+        matches!((self.codes, self.value), (Codes::Scip1, 1..=5) | (Codes::Urg, 1 | 2))
     }
 
     /// Returns true if an object may be beyond the range.
     const fn is_beyond_range(self) -> bool {
-        match self.codes {
-            None => matches!(self.value, 0 | 6 | 16),
-            Some(Codes::Urg) => self.value == 0,
-            Some(Codes::Utm) => self.value == 1,
-            Some(Codes::Ethernet) => self.value == 65_533,
-            Some(Codes::Unknown) => false,
-        }
+        matches!(
+            (self.codes, self.value),
+            (Codes::Scip1, 0 | 6 | 16)
+                | (Codes::Urg, 0)
+                | (Codes::Utm, 1)
+                | (Codes::Ethernet, 65_533)
+        )
     }
 }
 

@@ -18,6 +18,7 @@
 //! ```
 
 mod baud;
+mod bytes;
 mod codes;
 mod command;
 mod generation;
@@ -34,6 +35,7 @@ mod window;
 
 #[doc(no_inline)]
 pub use baud::BaudRate;
+use bytes::Bytes;
 use codes::Codes;
 pub use command::Command;
 pub use generation::Protocol;

@@ -3,7 +3,7 @@
 use std::fmt::{self, Write};
 
 use super::Label;
-use crate::protocol::{BaudRate, ParameterError, Window};
+use crate::protocol::{BaudRate, Bytes, ParameterError, Window};
 
 /// Characters in a full line of data, without its sum (p. 13).
 pub(super) const LINE: usize = 64;
@@ -213,18 +213,21 @@ fn write_scan(f: &mut fmt::Formatter<'_>, verb: char, data: Data, window: &Windo
     write!(f, "{verb}{}{start:04}{end:04}{cluster_count:02}", data.letter())
 }
 
+/// Most bytes of a request: `%MD`, 13 digits, `;` and a label.
+const LONGEST: usize = 3 + 13 + 1 + Label::CAPACITY;
+
 /// Command with the label that its reply must echo.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Request {
     command: Command,
     label: Option<Label>,
-    bytes: Bytes,
+    bytes: Bytes<LONGEST>,
 }
 
 impl Request {
     /// Creates a request. Pass `None` to send no label.
     pub fn new(command: Command, label: impl Into<Option<Label>>) -> Self {
-        let (label, mut bytes) = (label.into(), Bytes { bytes: [0; Bytes::CAPACITY], length: 0 });
+        let (label, mut bytes) = (label.into(), Bytes::new());
         // Never fails: there is room for the longest command and label.
         let _ = match &label {
             Some(label) => write!(bytes, "{command};{label}"),
@@ -240,7 +243,7 @@ impl Request {
 
     /// Bytes to send, without the terminator: an LF or a CR. A reply begins with the same bytes.
     pub fn bytes(&self) -> &[u8] {
-        self.bytes.bytes.get(..self.bytes.length).unwrap_or_default()
+        &self.bytes
     }
 
     /// Strips the echo of this request from the front of `frame`, and returns the number of scans
@@ -251,7 +254,7 @@ impl Request {
         };
         // The number of scans counts down.
         let label_len = self.label.map_or(0, |label| label.len() + 1);
-        let (head, tail) = self.bytes().split_at_checked(self.bytes.length - label_len)?;
+        let (head, tail) = self.bytes().split_at_checked(self.bytes.len() - label_len)?;
         let rest = frame.strip_prefix(head.split_last_chunk::<2>()?.0)?;
         let (&[tens @ b'0'..=b'9', ones @ b'0'..=b'9'], rest) = rest.split_first_chunk()? else {
             return None;
@@ -272,34 +275,13 @@ impl Request {
         // Each line has a sum and an LF.
         let lines = [Some(2), characters, data].into_iter().flatten();
         let lines = lines.map(|characters| characters + 2 * characters.div_ceil(LINE));
-        Some(self.bytes.length + 1 + lines.sum::<usize>() + 1)
+        Some(self.bytes.len() + 1 + lines.sum::<usize>() + 1)
     }
 }
 
 /// Writes the request as it is sent.
 impl fmt::Display for Request {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(std::str::from_utf8(self.bytes()).unwrap_or_default())
-    }
-}
-
-/// Bytes of a [`Request`], without an allocation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Bytes {
-    bytes: [u8; Self::CAPACITY],
-    length: usize,
-}
-
-impl Bytes {
-    /// `%MD`, 13 digits, `;` and a label.
-    const CAPACITY: usize = 3 + 13 + 1 + Label::CAPACITY;
-}
-
-impl Write for Bytes {
-    fn write_str(&mut self, part: &str) -> fmt::Result {
-        let end = self.length + part.len();
-        self.bytes.get_mut(self.length..end).ok_or(fmt::Error)?.copy_from_slice(part.as_bytes());
-        self.length = end;
-        Ok(())
+        self.bytes.fmt(f)
     }
 }

@@ -78,7 +78,7 @@ impl Parameters {
             min_distance: *self.distances.start(),
             max_distance: *self.distances.end(),
             motor_speed: self.motor_speed,
-            codes: Some(Codes::of(self.model.as_bytes())),
+            codes: Codes::of(self.model.as_bytes()),
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::protocol::ParameterError;
+use crate::protocol::{Bytes, ParameterError};
 
 /// Characters of [numbered](Label::numbered) labels, six bits each.
 const DIGITS: &[u8; 64] = b"0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz._";
@@ -10,10 +10,7 @@ const DIGITS: &[u8; 64] = b"0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnop
 /// Text of the host's own in a command: 1 to 16 letters, digits, blanks, `.`, `_`, `+` or `@` (p. 9).
 /// The sensor echoes it, so you can tell the replies to equal commands apart.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct Label {
-    bytes: [u8; Self::CAPACITY],
-    length: usize,
-}
+pub struct Label(Bytes<{ Self::CAPACITY }>);
 
 impl Label {
     pub(super) const CAPACITY: usize = 16;
@@ -25,12 +22,9 @@ impl Label {
     /// [`ParameterError`] if the text is empty, longer than 16 characters, or has another character.
     pub fn new(text: &str) -> Result<Self, ParameterError> {
         let allowed = |byte: &u8| byte.is_ascii_alphanumeric() || b" ._+@".contains(byte);
-        let mut bytes = [0; Self::CAPACITY];
-        match bytes.get_mut(..text.len()) {
-            Some(slot) if !text.is_empty() && text.as_bytes().iter().all(allowed) => {
-                slot.copy_from_slice(text.as_bytes());
-                Ok(Self { bytes, length: text.len() })
-            }
+        let mut bytes = Bytes::new();
+        match bytes.push(text.as_bytes()) {
+            Ok(()) if !text.is_empty() && bytes.iter().all(allowed) => Ok(Self(bytes)),
             _ => Err(ParameterError::new("label", "1 to 16 of A-Z a-z 0-9 ._+@ or blanks", text)),
         }
     }
@@ -42,26 +36,28 @@ impl Label {
     /// Two labels differ in at least two characters, because the last one is a sum of the others. So
     /// no damaged byte turns a label into another one. They repeat after 4.4e12 numbers.
     pub fn numbered(mut number: u64) -> Self {
-        let (mut bytes, mut sum) = ([0; Self::CAPACITY], 0);
-        for slot in bytes.iter_mut().take(7).rev() {
+        let (mut digits, mut sum) = ([0; 8], 0);
+        for slot in digits.iter_mut().take(7).rev() {
             *slot = digit(number);
             sum += number % 64;
             number /= 64;
         }
-        bytes[7] = digit(sum);
-        Self { bytes, length: 8 }
+        digits[7] = digit(sum);
+        let mut bytes = Bytes::new();
+        // Never fails: there is room.
+        let _ = bytes.push(&digits);
+        Self(bytes)
     }
 
     /// Number of bytes.
-    pub(super) const fn len(&self) -> usize {
-        self.length
+    pub(super) fn len(&self) -> usize {
+        self.0.len()
     }
 }
 
 impl fmt::Display for Label {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let text = self.bytes.get(..self.length).unwrap_or_default();
-        f.write_str(std::str::from_utf8(text).unwrap_or_default())
+        self.0.fmt(f)
     }
 }
 
