@@ -20,13 +20,13 @@ const BLOCK: usize = 32;
 /// Length of a terminator, two LFs.
 pub(crate) const TERMINATOR: usize = 2;
 
-/// Bytes between two terminators.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// Bytes `B` between two terminators.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Frame {
+pub enum Frame<B = BytesMut> {
     /// Reply without its terminator. It may hold anything:
     /// [`Reply::parse`](crate::protocol::Reply::parse) validates it.
-    Reply(BytesMut),
+    Reply(B),
     /// More than 4,096 bytes without a terminator, dropped up to and including the next
     /// terminator.
     Overlong {
@@ -35,17 +35,8 @@ pub enum Frame {
     },
 }
 
-/// Frame in a buffer: its length, or its bytes (`&[u8]`).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum FoundFrame<B = usize> {
-    Reply(B),
-    /// As [`Frame::Overlong`]; no longer in the buffer.
-    Overlong {
-        bytes: usize,
-    },
-}
-
-impl FoundFrame {
+/// Frame in a buffer: the length of a reply.
+impl Frame<usize> {
     /// Number of bytes on the wire, terminator included.
     pub(crate) fn wire_len(&self) -> u64 {
         let (Self::Reply(bytes) | Self::Overlong { bytes }) = self;
@@ -139,7 +130,7 @@ impl ScipCodec {
     ///
     /// For a reply, returns its length. Remove it and the two LFs behind it. Bytes that belong to
     /// no reply are removed: NULs in front of a reply, and an over-long frame with its terminator.
-    pub(crate) fn find(&mut self, buffer: &mut BytesMut) -> Option<FoundFrame> {
+    pub(crate) fn find(&mut self, buffer: &mut BytesMut) -> Option<Frame<usize>> {
         if self.searched == 0 && self.skipped.is_none() && buffer.first() == Some(&0) {
             let nulls = buffer.iter().take_while(|&&byte| byte == 0).count();
             buffer.advance(nulls);
@@ -159,10 +150,10 @@ impl ScipCodec {
         self.searched = 0;
         let skipped = self.skipped.take();
         if skipped.is_none() && length <= self.max_frame {
-            return Some(FoundFrame::Reply(length));
+            return Some(Frame::Reply(length));
         }
         buffer.advance(length + TERMINATOR);
-        Some(FoundFrame::Overlong { bytes: skipped.unwrap_or(0) + length })
+        Some(Frame::Overlong { bytes: skipped.unwrap_or(0) + length })
     }
 
     /// Forgets all progress. Call it after you empty the buffer.
@@ -197,12 +188,12 @@ impl Decoder for ScipCodec {
 
     fn decode(&mut self, buffer: &mut BytesMut) -> io::Result<Option<Frame>> {
         Ok(self.find(buffer).map(|frame| match frame {
-            FoundFrame::Reply(length) => {
+            Frame::Reply(length) => {
                 let mut reply = buffer.split_to(length + TERMINATOR);
                 reply.truncate(length);
                 Frame::Reply(reply)
             }
-            FoundFrame::Overlong { bytes } => Frame::Overlong { bytes },
+            Frame::Overlong { bytes } => Frame::Overlong { bytes },
         }))
     }
 

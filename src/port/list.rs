@@ -59,13 +59,8 @@ const THE_LIST: &str = "the list of serial ports";
 
 fn list_blocking() -> Result<Vec<PortInfo>, Error> {
     let links = stable_paths(Path::new("/dev/serial/by-path"));
-    let mut ports = Vec::new();
-    for port in available()? {
-        let port = port_info(port, &links);
-        // Inserted in order: sorting needs more code than the rest of this module.
-        let place = ports.partition_point(|other| order(other) <= order(&port));
-        ports.insert(place, port);
-    }
+    let mut ports: Vec<_> = available()?.into_iter().map(|port| port_info(port, &links)).collect();
+    ports.sort_by_cached_key(order);
     Ok(ports)
 }
 
@@ -100,10 +95,10 @@ fn stable_paths(directory: &Path) -> Vec<(String, PathBuf)> {
         if let (Ok(target), Ok(name)) =
             (link.path().canonicalize(), link.path().into_os_string().into_string())
         {
-            let place = links.partition_point(|(other, _)| *other <= name);
-            links.insert(place, (name, target));
+            links.push((name, target));
         }
     }
+    links.sort();
     links
 }
 

@@ -34,7 +34,7 @@ pub(crate) use self::received::{ReceivedFrame, ReplyTimes};
 pub(crate) use self::timer::Timer;
 use self::timer::again_if_interrupted;
 use super::failure::LinkError;
-use crate::codec::{ExpectedReply, FoundFrame, ScipCodec};
+use crate::codec::{ExpectedReply, Frame, ScipCodec};
 use crate::port::{Port, PortHints};
 
 /// Room for any reply of a sensor; the longest has 1,576 bytes. A little more, because a
@@ -262,7 +262,7 @@ impl Transport {
         Ok(())
     }
 
-    fn end_frame(&mut self, frame: FoundFrame) -> ReceivedFrame<'_> {
+    fn end_frame(&mut self, frame: Frame<usize>) -> ReceivedFrame<'_> {
         let Beginning { at, stamp, is_replayed } = match self.beginning {
             Some(beginning) => beginning,
             None => self.begin_reply(),
@@ -300,7 +300,7 @@ impl Transport {
 
     /// Reads until a frame is at the front of the input, or the deadline has passed. Pauses when
     /// that is worthwhile.
-    fn poll_frame(&mut self, cx: &mut Context<'_>) -> Poll<Result<FoundFrame, NoFrame>> {
+    fn poll_frame(&mut self, cx: &mut Context<'_>) -> Poll<Result<Frame<usize>, NoFrame>> {
         loop {
             if let Some(until) = self.paused_until {
                 ready!(self.pause_timer.poll(cx, until));

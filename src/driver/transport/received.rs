@@ -5,7 +5,7 @@ use std::time::SystemTime;
 use bytes::{Buf, BytesMut};
 use tokio::time::Instant;
 
-use crate::codec::{FoundFrame, TERMINATOR};
+use crate::codec::{Frame, TERMINATOR};
 
 /// Times of a command and its reply.
 #[derive(Debug, Clone, Copy)]
@@ -33,17 +33,15 @@ pub(super) struct Beginning {
 #[derive(Debug)]
 pub(crate) struct ReceivedFrame<'a> {
     pub(super) input: &'a mut BytesMut,
-    pub(super) frame: FoundFrame,
+    pub(super) frame: Frame<usize>,
     pub(crate) times: ReplyTimes,
 }
 
 impl ReceivedFrame<'_> {
-    pub(crate) fn frame(&self) -> FoundFrame<&[u8]> {
+    pub(crate) fn frame(&self) -> Frame<&[u8]> {
         match self.frame {
-            FoundFrame::Reply(length) => {
-                FoundFrame::Reply(self.input.get(..length).unwrap_or_default())
-            }
-            FoundFrame::Overlong { bytes } => FoundFrame::Overlong { bytes },
+            Frame::Reply(length) => Frame::Reply(self.input.get(..length).unwrap_or_default()),
+            Frame::Overlong { bytes } => Frame::Overlong { bytes },
         }
     }
 
@@ -55,7 +53,7 @@ impl ReceivedFrame<'_> {
 
 impl Drop for ReceivedFrame<'_> {
     fn drop(&mut self) {
-        let FoundFrame::Reply(length) = self.frame else { return };
+        let Frame::Reply(length) = self.frame else { return };
         let end = length + TERMINATOR;
         if end < self.input.len() {
             self.input.advance(end);

@@ -142,7 +142,7 @@ async fn a_late_reply_is_seen_without_budget() {
     far.write_all(b"L0\n0\n\n").await.unwrap();
     use_up_budget().await;
     let received = transport.next_frame().await;
-    assert_eq!(received.unwrap().frame(), FoundFrame::Reply(&b"L0\n0"[..]));
+    assert_eq!(received.unwrap().frame(), Frame::Reply(&b"L0\n0"[..]));
     let outcome = transport.next_frame().await;
     assert!(matches!(outcome, Err(NoFrame::Late { .. })));
 }
@@ -186,7 +186,7 @@ async fn frames_that_are_expected_are_no_flood() {
         transport.send(b"ME", &expected, LIMIT).await.unwrap();
         for _ in 0..100 {
             let received = transport.next_frame().await.unwrap();
-            assert_eq!(received.frame(), FoundFrame::Reply(&frame[..]));
+            assert_eq!(received.frame(), Frame::Reply(&frame[..]));
             drop(received);
             transport.expect(&expected, Instant::now() + LIMIT);
         }

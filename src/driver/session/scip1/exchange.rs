@@ -8,7 +8,7 @@ use super::super::super::transport::{Expected, ReceivedFrame, ReplyTimes};
 use super::super::errors::{bad_reply, on_behalf_of, record_silence};
 use super::errors::refused;
 use super::{ANY_SCAN, LIMITS, Scip1};
-use crate::codec::{ExpectedReply, FoundFrame};
+use crate::codec::{ExpectedReply, Frame};
 use crate::protocol::{Command, MalformedError, Protocol, Reply, ReplyError, Status};
 use crate::{BaudRate, ErrorKind, RawReply};
 
@@ -172,8 +172,8 @@ fn judge(
 ) -> Result<Reply, ReplyError> {
     let times = &received.times;
     let bytes = match received.frame() {
-        FoundFrame::Reply(bytes) => bytes,
-        FoundFrame::Overlong { bytes } => return Err(MalformedError::Overlong { bytes }.into()),
+        Frame::Reply(bytes) => bytes,
+        Frame::Overlong { bytes } => return Err(MalformedError::Overlong { bytes }.into()),
     };
     let outcome = Reply::parse(command, bytes);
     observers.pass(|| RawReply {

@@ -15,7 +15,7 @@ use super::exchange::expected;
 use super::{FIRST_LIMITS, Scip1};
 use crate::ErrorKind;
 use crate::RawReply;
-use crate::codec::FoundFrame;
+use crate::codec::Frame;
 use crate::protocol::scip2::has_data;
 use crate::protocol::{Command, MalformedError, Protocol, Reply, ReplyError, Status};
 
@@ -128,7 +128,7 @@ impl Scip1 {
         loop {
             let received = self.line.transport.next_frame().await.map_err(late)?;
             let frame = received.frame();
-            if let FoundFrame::Reply(bytes) = frame {
+            if let Frame::Reply(bytes) = frame {
                 self.line.observers.pass(|| RawReply {
                     protocol: Protocol::Scip1,
                     command: None,
@@ -168,16 +168,16 @@ impl Scip1 {
 }
 
 /// Looks for the reply to `command` at the end of `frame`: the bytes before it are older.
-fn judge(command: &Command, frame: FoundFrame<&[u8]>) -> Result<Status, ReplyError> {
+fn judge(command: &Command, frame: Frame<&[u8]>) -> Result<Status, ReplyError> {
     match frame {
-        FoundFrame::Reply(bytes) => Reply::parse_end(command, bytes).map(|reply| reply.status),
-        FoundFrame::Overlong { bytes } => Err(MalformedError::Overlong { bytes }.into()),
+        Frame::Reply(bytes) => Reply::parse_end(command, bytes).map(|reply| reply.status),
+        Frame::Overlong { bytes } => Err(MalformedError::Overlong { bytes }.into()),
     }
 }
 
 /// Returns true if `frame` is the bytes that were sent, followed by a reply to them.
-fn is_echoed(sent: &[u8], command: &Command, frame: FoundFrame<&[u8]>) -> bool {
-    let FoundFrame::Reply(bytes) = frame else { return false };
+fn is_echoed(sent: &[u8], command: &Command, frame: Frame<&[u8]>) -> bool {
+    let Frame::Reply(bytes) = frame else { return false };
     bytes.strip_prefix(sent).is_some_and(|rest| rest.starts_with(&command.bytes()))
 }
 

@@ -7,7 +7,7 @@ use super::super::super::failure::ExchangeError;
 use super::super::super::transport::{Expected, ReplyTimes};
 use super::super::errors::{bad_reply, record_silence, refused};
 use super::{LIMITS, Scip2};
-use crate::codec::FoundFrame;
+use crate::codec::Frame;
 use crate::protocol::scip2::{Command, Content, Reply, Request, Status};
 use crate::protocol::{Protocol, ReplyError, Text};
 use crate::state::{KnownFrame, Shared};
@@ -102,7 +102,7 @@ impl Scip2<'_> {
             let (mut times, wire_len) = (received.times, received.wire_len());
             let mut outcome = Err(None);
             let (mut is_streamed, mut like_a_stream) = (false, false);
-            if let FoundFrame::Reply(bytes) = received.frame() {
+            if let Frame::Reply(bytes) = received.frame() {
                 like_a_stream = is_like_a_stream(bytes);
                 let own = find_own(request, bytes, &times, baud_rate);
                 let answered = own.filter(|_| !is_probe).map(|_| *request);

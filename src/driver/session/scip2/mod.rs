@@ -22,7 +22,7 @@ use super::super::transport::{Expected, Limits, ReplyTimes};
 use super::errors::{malformed, no_reply, not_confirmed, on_behalf_of};
 use super::line::Line;
 use super::{Acquired, Told};
-use crate::codec::FoundFrame;
+use crate::codec::Frame;
 use crate::protocol::scip2::{self, Command, Content, Data, Label, Request, Scan, Stamp, Status};
 use crate::protocol::{MalformedError, Protocol, Text};
 use crate::scan::Values;
@@ -162,7 +162,7 @@ impl Scip2<'_> {
         self.line.transport.send(ENTER, &expected, within).await.map_err(late)?;
         loop {
             let received = self.line.transport.next_frame().await.map_err(late)?;
-            if let FoundFrame::Reply(frame) = received.frame()
+            if let Frame::Reply(frame) = received.frame()
                 && let Some(status) = frame.strip_prefix(ENTER)
             {
                 return Ok(status.trim_ascii().into());

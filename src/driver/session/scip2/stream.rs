@@ -17,7 +17,7 @@ use super::super::errors::record_silence;
 use super::super::{Acquired, Streamed};
 use super::exchange::{accepted, find_own, is_like_a_stream, raw_reply, record_malformed, refusal};
 use super::{LIMITS, Scip2, State, acquired};
-use crate::codec::FoundFrame;
+use crate::codec::Frame;
 use crate::protocol::ReplyError;
 use crate::protocol::scip2::{Command, Content, Reply, Request, Scan, Stamp, Status, Stream};
 use crate::state::Shared;
@@ -161,7 +161,7 @@ impl Scip2<'_> {
             };
             let (times, wire_len) = (received.times, received.wire_len());
             let (mut is_own, mut like_a_stream) = (false, false);
-            if let FoundFrame::Reply(bytes) = received.frame() {
+            if let Frame::Reply(bytes) = received.frame() {
                 let own = find_own(&request, bytes, &times, baud_rate).map(|_| request);
                 self.line.observers.pass(|| raw_reply(bytes, own, &times));
                 like_a_stream = is_like_a_stream(bytes);
