@@ -91,50 +91,72 @@ impl Scan {
 
 #[cfg(test)]
 mod tests {
-    use super::super::scan::tests::{scan_of, window};
+    use std::f64::consts::TAU;
+    use std::time::Duration;
+
+    use proptest::prelude::*;
+
+    use super::super::scan::tests::{scan, window};
     use super::*;
     use crate::Window;
 
-    #[test]
-    fn points_are_ahead_of_the_sensor_and_to_its_left() {
-        let scan = |value| scan_of(window(384, 640, 1), std::iter::repeat_n(value, 257));
-        let ahead = scan(1000);
-        let points: Vec<Point> = ahead.points().collect();
-        let (front, left) = (points[0], points[256]);
-        assert_eq!((front.x, front.y), (1.0, 0.0));
-        assert!(left.x.abs() < 1e-6 && (left.y - 1.0).abs() < 1e-6);
-        assert_eq!(scan(7).points().count(), 0);
+    fn near(one: f32, other: f64) -> bool {
+        (f64::from(one) - other).abs() < 1e-5
+    }
+
+    proptest! {
+        /// A last cluster with fewer steps counts as whole, unless it is the only one.
+        #[test]
+        fn each_value_is_shown_where_and_when_it_was_measured(
+            bounds in prop::array::uniform2(0_u16..=768),
+            cluster_count in prop_oneof![Just(1_u8), 1_u8..=99],
+            revolution in 0.02..0.2_f64,
+            values in prop::collection::vec(prop_oneof![0_u32..30, 0_u32..4096], 769),
+        ) {
+            let first = bounds[0].min(bounds[1]);
+            let window = window(first, bounds[0].max(bounds[1]), cluster_count);
+            let values = &values[..window.points()];
+            let scan_time = Duration::from_secs_f64(revolution);
+            let scan = Scan::builder(window, values).scan_time(scan_time).build().unwrap();
+            let rays: Vec<Ray> = scan.rays().collect();
+            prop_assert_eq!((rays.len(), scan.rays().len()), (values.len(), scan.len()));
+            let cluster = f64::from(cluster_count);
+            let middle = f64::from(first) + (cluster.min(window.steps() as f64) - 1.0) / 2.0;
+            for (n, (ray, value)) in rays.iter().zip(values).enumerate() {
+                let Ray { step, angle, measurement, offset } = *ray;
+                let (steps, range) = (n as f64 * cluster, f64::from(*value) / 1000.0);
+                let direction = (middle + steps - 384.0) / 1024.0 * TAU;
+                prop_assert_eq!(f64::from(step), f64::from(first) + steps);
+                prop_assert_eq!(measurement.value(), *value);
+                prop_assert!(near(angle, direction) && near(offset, revolution * steps / 1024.0));
+                let point = ray.point();
+                prop_assert_eq!(point.is_some(), (20..=4094).contains(value));
+                if let Some(point) = point {
+                    let (x, y) = (range * direction.cos(), range * direction.sin());
+                    prop_assert!(near(point.x, x) && near(point.y, y));
+                    prop_assert_eq!(point, Point { range: range as f32, angle, step, offset, ..point });
+                }
+            }
+            let points: Vec<Point> = rays.iter().filter_map(Ray::point).collect();
+            prop_assert!(scan.points().eq(points.iter().copied()));
+            // The first of several.
+            let nearer = |one: Point, other: Point| if other.range < one.range { other } else { one };
+            prop_assert_eq!(scan.nearest(), points.into_iter().reduce(nearer));
+            prop_assert_eq!(Some(scan.angle_min()), rays.first().map(|ray| ray.angle));
+            prop_assert_eq!(Some(scan.angle_max()), rays.last().map(|ray| ray.angle));
+            prop_assert!(near(scan.angle_increment(), cluster / 1024.0 * TAU));
+            let increment = scan.time_increment().as_secs_f64();
+            prop_assert!((increment - revolution * cluster / 1024.0).abs() < 1e-8);
+        }
     }
 
     #[test]
-    fn each_value_has_its_ray_and_point() {
-        let value = |n: u32| if n.is_multiple_of(3) { n % 20 } else { 1000 + n };
-        let scan = scan_of(Window::DETECTION, (0..682).map(value));
-        let rays: Vec<Ray> = scan.rays().collect();
-        assert_eq!(scan.rays().len(), 682);
-        for (n, ((ray, angle), value)) in
-            rays.iter().zip(scan.angles()).zip(scan.raw_values()).enumerate()
-        {
-            assert_eq!((ray.step, ray.angle), (44 + n as u16, angle));
-            assert_eq!(ray.measurement.value(), value);
-            assert!((ray.angle - scan.geometry().degrees(ray.step).to_radians()).abs() < 1e-6);
-        }
-        let with_point: Vec<&Ray> = rays.iter().filter(|ray| ray.point().is_some()).collect();
-        assert_eq!(with_point.len(), scan.points().count());
-        for (ray, point) in with_point.into_iter().zip(scan.points()) {
-            assert_eq!((ray.step, ray.angle, ray.offset), (point.step, point.angle, point.offset));
-            assert_eq!(Some(point), ray.point());
-            assert!((point.y.atan2(point.x) - ray.angle).abs() < 1e-5);
-        }
-    }
-
-    #[test]
-    fn the_nearest_point_is_no_error_code() {
-        let scan = |values: [u32; 513]| scan_of(window(128, 640, 1), values.into_iter());
-        let mut values = [3000; 513];
-        (values[0], values[100], values[256], values[400]) = (7, 1000, 1200, 1000);
-        // The first of two.
-        assert_eq!(scan(values).nearest().unwrap().step, 228);
-        assert_eq!(scan([0; 513]).nearest(), None);
+    fn the_geometry_is_that_of_the_text() {
+        let scan = scan(Window::FULL);
+        let degrees: Vec<f32> = scan.rays().map(|ray| ray.angle.to_degrees()).collect();
+        assert_eq!((degrees[0], degrees[384], degrees[768]), (-135.0, 0.0, 135.0));
+        assert_eq!(scan.time_increment(), Duration::from_nanos(97_656));
+        assert_eq!((scan.range_min(), scan.range_max()), (0.019, 4.095));
+        assert_eq!(scan.scan_time(), Duration::from_millis(100));
     }
 }

@@ -205,15 +205,4 @@ mod tests {
         let by_wall = scan.times().stamp.duration_since(scan.first_ray_stamp()).unwrap();
         assert_eq!(by_wall, scan.meta.first_byte_at - scan.first_ray_at());
     }
-
-    #[test]
-    fn the_measured_revolution_sets_the_time_of_each_point() {
-        let mut scan = scan(Window::DETECTION);
-        scan.meta.scan_time = Duration::from_micros(99_760);
-        assert_eq!(scan.scan_time(), scan.meta.scan_time);
-        let last = scan.points().last().unwrap();
-        assert!((last.offset - 681.0 * scan.time_increment().as_secs_f32()).abs() < 1e-6);
-        assert!((last.offset - 681.0 * 0.09976 / 1024.0).abs() < 1e-6);
-        assert_eq!(scan.points().next().unwrap().offset, 0.0);
-    }
 }
