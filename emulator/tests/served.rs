@@ -5,7 +5,6 @@ use std::time::Duration;
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
 use tokio::net::{TcpListener, TcpStream};
-use tokio_scip::BaudRate;
 
 use super::{ask, instant_sensor, listen_bytes};
 
@@ -81,6 +80,7 @@ mod terminal {
     use std::time::Instant;
 
     use tokio::task::JoinHandle;
+    use tokio_scip::BaudRate;
     use tokio_serial::{ErrorKind, SerialPort, SerialStream};
     use urg_emulator::{Emulator, Pty, Received};
 
