@@ -97,6 +97,7 @@ fn a_malformed_record_is_reported_and_left_out() {
         ("a map of no pairs", of_kind(0x0c, &[text("tokio_scip"), text("pair")].concat())),
         ("a map of 4 GB", of_kind(0x0c, &[&text("tokio_scip")[..], &claims(u32::MAX)].concat())),
         ("a short schema", of_kind(0x03, &[0; 4])),
+        ("a schema without a number", of_kind(0x03, &[0; 14])),
         ("a short message", of_kind(0x05, &[0; 21])),
     ] {
         let records = [channel(), event(0), malformed, event(0)].concat();
@@ -161,10 +162,26 @@ fn a_message_index_does_not_become_a_message() {
     let chunk = chunk_of(&[channel(), event(0)].concat());
     let index = [&[0; 2][..], &claims(16), &[0; 16]].concat();
     let before = [MAGIC, &chunk].concat();
-    let file = [&before[..], &of_kind(0x05, &index), &chunk, &end()].concat();
-    let mut repaired = Vec::new();
-    let outcome = repair(Cursor::new(file), &mut repaired).unwrap();
-    assert_eq!((outcome.messages, outcome.damaged_at), (2, vec![before.len() as u64]));
+    // Its length may be damaged, too, and end at another record.
+    for length in [index.len(), index.len() + chunk.len()] {
+        let index = record(0x05, length as u64, &index);
+        let file = [&before[..], &index, &chunk, &chunk, &end()].concat();
+        let outcome = repair(Cursor::new(file), &mut Vec::new()).unwrap();
+        assert_eq!((outcome.messages, outcome.damaged_at), (3, vec![before.len() as u64]));
+    }
+}
+
+#[test]
+fn messages_may_stand_both_in_chunks_and_outside() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    let data = text("{\"event\":\"reconnected\"}\0");
+    for sequence in 0..99_u32 {
+        // At 1 s of a simulated clock, say.
+        let times = 1_000_000_000_u64.to_le_bytes().repeat(2);
+        let content = [&[0; 2][..], &sequence.to_le_bytes(), &times, &[0, 1, 0, 0], &data].concat();
+        let file = [MAGIC, &chunk, &of_kind(0x05, &content), &chunk, &end()].concat();
+        assert_eq!(read(&file), (vec![], 3, false), "{sequence}");
+    }
 }
 
 /// A message whose kind is damaged, and whose number is the length of a list, looks like one.
@@ -204,15 +221,119 @@ fn a_length_in_a_later_chunk_is_no_record() {
 }
 
 #[test]
-fn the_last_byte_of_a_later_record_begins_no_chunk() {
+fn the_last_bytes_of_a_later_record_begin_no_chunk() {
     let chunk = more(&chunk_of(&[channel(), event(0)].concat()), b"123456");
     let index = of_kind(0x07, &[&[0; 2][..], &claims(16), &[0; 16]].concat());
-    for fields in [&b"\x06"[..], b"1234567890\x06"] {
+    for fields in [&b"\x06"[..], b"1234567890\x06", b"12345678\x06\x0b"] {
         let header = more(&of_kind(0x01, &[0; 8]), fields);
         let (index, last) = (more(&index, fields), of_kind(0xaa, b""));
         let file = [MAGIC, &header, &chunk, &index, &chunk, &index, &last, &end()].concat();
         assert_eq!(read(&file), (vec![], 2, false), "{fields:?}");
     }
+}
+
+#[test]
+fn the_last_byte_of_a_later_index_begins_no_message() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    let index = of_kind(0x07, &[&[0; 2][..], &claims(16), &[0; 16], b"\x05"].concat());
+    // From that byte on it looks like a message of 0x150 bytes, up to the next chunk.
+    let later = [of_kind(0x50, &[1]), of_kind(0x51, &[1; 0x150 - 11])].concat();
+    let file = [MAGIC, &chunk, &index, &later, &chunk, &end()].concat();
+    assert_eq!(read(&file), (vec![], 2, false));
+}
+
+/// A simulated clock begins at 0, and its first messages may have zeros.
+#[test]
+fn a_message_of_zeros_is_no_chunk() {
+    for length in 22..99 {
+        let message = of_kind(0x05, &vec![0; length]);
+        for records in [message.clone(), chunk_of(&message)] {
+            let file = [MAGIC, &channel(), &records, &end()].concat();
+            let outcome = repair(Cursor::new(file), &mut Vec::new()).unwrap();
+            assert_eq!((outcome.messages, outcome.damaged_parts), (1, 0), "{length}");
+        }
+    }
+}
+
+#[test]
+fn a_far_length_is_not_read_ahead() {
+    const MIB: usize = 1 << 20;
+    // Its name ends beyond the file's next megabytes.
+    let attachment = record(0x09, 1 << 40, &[&[0; 16][..], &claims(8 << 20), &[0; 4]].concat());
+    let events = event(0).repeat(10 * MIB / event(0).len());
+    let file = [MAGIC, &channel(), &event(0), &attachment, &events, &end()];
+    let file = Cursor::new(file.concat());
+    let counted = allocation_counter::measure(|| {
+        let items: Vec<_> = Recording::read(file).unwrap().take(3).collect();
+        assert_eq!(damaged_at(&items).len(), 1);
+    });
+    assert!(counted.bytes_max < 4 * MIB as u64, "{} bytes in memory", counted.bytes_max);
+}
+
+/// At the end of what is in memory, more is read before the kind is believed.
+#[test]
+fn a_damaged_kind_shows_at_the_end_of_a_read() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    let mut damaged = chunk.clone();
+    damaged[0] = 0x05;
+    let read_bytes = 64 << 10;
+    for rest in 1..70 {
+        let start = [MAGIC, &chunk].concat();
+        let length = read_bytes - rest - start.len() - 23;
+        let data = [&claims(length as u32)[..], &vec![1; length]].concat();
+        let schema = of_kind(0x03, &[&[1, 0][..], &[0; 8], &data].concat());
+        let file = [&start[..], &schema, &damaged, &chunk, &end()].concat();
+        let place = (read_bytes - rest) as u64;
+        let outcome = repair(Cursor::new(file), &mut Vec::new()).unwrap();
+        assert_eq!((outcome.messages, outcome.damaged_at), (2, vec![place]), "{rest}");
+    }
+}
+
+#[test]
+fn a_damaged_kind_of_a_later_chunk_is_reported() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    let head = [&[0; 16][..], &30u64.to_le_bytes(), &[0; 4], &text("lz4")].concat();
+    let compressed = of_kind(0x06, &[&head[..], &9u64.to_le_bytes(), &[0; 9]].concat());
+    for (kind, chunk_hit) in
+        [(0x05, &chunk), (0x50, &chunk), (0x05, &compressed), (0x50, &compressed)]
+    {
+        let mut damaged = more(chunk_hit, b"123456");
+        damaged[0] = kind;
+        let file = [MAGIC, &chunk, &damaged, &chunk, &end()].concat();
+        let outcome = repair(Cursor::new(file), &mut Vec::new()).unwrap();
+        let place = 8 + chunk.len() as u64;
+        assert_eq!((outcome.messages, outcome.damaged_at), (2, vec![place]), "{kind:#x}");
+    }
+}
+
+#[test]
+fn a_message_before_a_cut_off_one_is_found() {
+    let (event, stray) = (event(0), [0; 1]);
+    let whole = [MAGIC, &channel(), &event, &stray, &event, &event].concat();
+    for missing in 1..event.len() - 9 {
+        let (damaged, events, is_truncated) = read(&whole[..whole.len() - missing]);
+        assert_eq!((damaged.len(), events, is_truncated), (1, 2, true), "{missing}");
+    }
+}
+
+#[test]
+fn a_message_of_33_mib_is_found() {
+    let event = event(0);
+    let long = of_kind(0x05, &[&event[9..], &vec![0x80; 33 << 20]].concat());
+    let file = [MAGIC, &channel(), &event, &[0; 1], &long, &long, &end()].concat();
+    let outcome = repair(Cursor::new(file), &mut std::io::sink()).unwrap();
+    assert_eq!((outcome.messages, outcome.damaged_parts), (3, 1));
+}
+
+/// Numbers in a message may look like a channel without a name.
+#[test]
+fn numbers_at_a_chunks_end_define_no_channel() {
+    let numbers = [&[0x04, 0x10][..], &[0; 26]].concat();
+    let mut message = of_kind(0x05, &[&[0; 22][..], &numbers].concat());
+    message[0] = 0;
+    let first = chunk_of(&[channel(), event(0), message].concat());
+    let file = [MAGIC, &first, &chunk_of(&event(0)), &end()].concat();
+    assert_eq!(read(&file), (vec![8], 2, false));
 }
 
 #[test]
@@ -272,13 +393,16 @@ fn a_damaged_kind_ends_no_file_before_its_metadata() {
 fn a_damaged_kind_ends_no_file_before_damage() {
     let chunk = chunk_of(&[channel(), event(0)].concat());
     let place = 8 + chunk.len() as u64;
-    let damaged = of_kind(0x0f, &[&[0; 2][..], &claims(16), &[0; 16]].concat());
+    let mut damaged = of_kind(0x0f, &[&[0; 2][..], &claims(16), &[0; 16]].concat());
     // A stray byte, or a damaged kind.
-    for (next, length) in [(b"\0".to_vec(), 1), (of_kind(0x5b, &[1; 30]), 39)] {
-        let file = [MAGIC, &chunk, &damaged, &next, &chunk, &chunk, &end()].concat();
-        let (places, events, is_truncated) = read(&file);
-        assert_eq!((events, is_truncated), (3, false), "{length}");
-        assert!(places[0] >= place, "{places:?}");
+    for next in [b"\0".to_vec(), of_kind(0x5b, &[1; 30])] {
+        for kind in [0x0f, 0x02] {
+            damaged[0] = kind;
+            let file = [MAGIC, &chunk, &damaged, &next, &chunk, &chunk, &end()].concat();
+            let (places, events, is_truncated) = read(&file);
+            assert_eq!((events, is_truncated), (3, false), "{kind}, {next:?}");
+            assert!(places[0] >= place, "{places:?}");
+        }
     }
 }
 
@@ -301,6 +425,11 @@ fn a_damaged_attachment_refuses_no_file() {
     let head = [MAGIC, &channel(), &attachment, &event(0).repeat(2)].concat();
     let first = 8 + channel().len() as u64;
     assert_eq!(read(&[&head[..], &end()].concat()), (vec![first], 2, false));
+    // Nor do two, whose name is too long for a compression.
+    let content = [&content[..28], &text("application/x-yaml"), &[0; 8], &[0; 4]].concat();
+    let two = of_kind(0x06, &content).repeat(2);
+    let file = [MAGIC, &channel(), &two, &event(0).repeat(2), &end()].concat();
+    assert_eq!(read(&file), (vec![first], 2, false));
     // Nor does it make a file with chunks of one without.
     let file = [&head[..], &[0; 5], &event(0).repeat(3), &end()].concat();
     assert_eq!(read(&file), (vec![first, head.len() as u64], 5, false));

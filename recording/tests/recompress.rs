@@ -41,7 +41,9 @@ pub(super) fn decompress(compression: &str, bytes: &[u8]) -> Vec<u8> {
 /// Chunk as its record has it: the name of its compression, and its records.
 pub(super) fn chunk(content: &[u8]) -> (&str, &[u8]) {
     let name = u32::from_le_bytes(content[28..32].try_into().unwrap()) as usize;
-    (std::str::from_utf8(&content[32..32 + name]).unwrap(), &content[40 + name..])
+    // Fields of a later version may follow.
+    let records = &content[40 + name..][..u64_at(content, 32 + name) as usize];
+    (std::str::from_utf8(&content[32..32 + name]).unwrap(), records)
 }
 
 /// Names of the compressions of a complete file's chunks.
@@ -111,7 +113,7 @@ pub(super) fn compressed(file: &[u8], compression: &str) -> Vec<u8> {
                 let length = places[&(start + length)] - places[&start];
                 [&content[..1], &place(start), &length.to_le_bytes()].concat()
             }
-            0x02 => {
+            0x02 if content != [0; 20] => {
                 let positions = [place(u64_at(content, 0)), place(u64_at(content, 8))].concat();
                 let summary = places[&u64_at(content, 0)] as usize;
                 let checked = [&out[summary..], &of_kind(0x02, &[0; 20])[..9], &positions].concat();

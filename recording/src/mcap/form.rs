@@ -139,9 +139,10 @@ pub(super) fn measure(bytes: &[u8], after: After) -> Result<Extent, Unmeasured> 
     // The kind of a chunk may be damaged.
     let is_other = !is_chunk
         && chunk.is_some_and(|chunk| {
-            let is_grown = (chunk.records.end as u64) < end && !chunk.records.is_empty();
-            let has_numbers = chunk.compression.is_empty() && !has_lengths(kind);
-            chunk.records.end as u64 == end || has_numbers && is_grown
+            let records_end = chunk.records.end as u64;
+            // Zeros look like an empty chunk.
+            !chunk.records.is_empty()
+                && (records_end == end || has_name && !has_lengths(kind) && records_end < end)
         });
     if fields > end || is_wrong || is_other {
         return Err(Unmeasured::Wrong);
@@ -236,10 +237,10 @@ fn begins_before(
         Err(Unmeasured::Needs(count)) if after == After::More => Err(at + count),
         Err(Unmeasured::Needs(_)) => Ok(after != After::Nothing && followers < FOLLOWERS),
         Ok(extent) if !kinds(extent.kind) => Ok(false),
-        // One byte before a chunk, its lengths agree, too.
+        // Up to two bytes before a chunk, its lengths agree, too.
         Ok(extent) if extent.is_chunk && !extent.is_proved() => {
-            is_shown(bytes, after, at as u64 + 1, |kind| kind == kind::CHUNK)
-                .map(|is_next| !is_next)
+            let is_chunk = |at| is_shown(bytes, after, at, |kind| kind == kind::CHUNK);
+            Ok(!is_chunk(at as u64 + 1)? && !is_chunk(at as u64 + 2)?)
         }
         Ok(extent) if shows(&extent) => Ok(true),
         Ok(extent) if extent.end > MAX_CHUNK_BYTES => Ok(false),
@@ -249,8 +250,6 @@ fn begins_before(
             let after = match after {
                 After::More => After::More,
                 _ if extent.kind == kind::MESSAGE => after,
-                // The end of a file that was cut off within data with zeros proves nothing.
-                After::EndOfFile if next >= bytes.len() as u64 => return Ok(false),
                 _ => After::Nothing,
             };
             let followers = if extent.is_proved() { 0 } else { followers - 1 };
@@ -259,28 +258,23 @@ fn begins_before(
     }
 }
 
-/// Returns where the record after this one begins. If that is not at its end, its length is wrong,
-/// or its first byte is a stray one. Searches as far as `known`.
+/// Returns where the record after this one begins, whose lengths do not prove its end. If that is not
+/// at its end, its length is wrong, or its first byte is a stray one. Searches as far as `known`.
 pub(super) fn next_start<E>(
     extent: &Extent,
     known: u64,
     mut begins: impl FnMut(u64) -> Result<bool, E>,
 ) -> Result<u64, E> {
-    if extent.is_proved() {
-        return Ok(extent.end);
-    }
-    // A chunk whose lengths agree has no stray byte before it. More fields may be records, if they
-    // are long enough: then the length is wrong.
-    let stray = (!extent.is_chunk).then_some(1);
+    // More fields may be records, if they are long enough: then the length is wrong.
     let more = extent.end - extent.fields;
     let more = match extent.kind {
+        _ if more < RECORD_HEAD as u64 => extent.end,
         // Its times and offsets do not look like a record.
         kind::MESSAGE_INDEX => 1,
-        _ if more < RECORD_HEAD as u64 => extent.end,
         _ => extent.fields,
     };
     let ends = (more..extent.end.min(known)).chain([extent.end]);
-    for at in stray.into_iter().chain(ends).chain(1..extent.end.min(known)) {
+    for at in std::iter::once(1).chain(ends).chain(1..extent.end.min(known)) {
         // Only a whole record may end where the file does.
         if (at < known || at == extent.end) && begins(at)? {
             return Ok(at);
@@ -289,11 +283,13 @@ pub(super) fn next_start<E>(
     Ok(extent.end)
 }
 
-/// Returns true for the content of a message index. One whose kind is damaged looks like a message.
+/// Returns true for the content of a message index, which looks like a message if its kind is damaged:
+/// the length of its entries as the number, and an offset in its chunk as the publish time.
 pub(super) fn is_message_index(content: &[u8]) -> bool {
-    let mut fields = Fields(content);
-    let entries = fields.u16().and_then(|_| fields.bytes());
-    entries.is_some_and(|entries| entries.len() % 16 == 0 && fields.0.is_empty())
+    MessageHeader::parse(content).is_some_and(|(header, _)| {
+        let is_length = header.sequence > 0 && header.sequence % 16 == 0;
+        is_length && header.publish_time < MAX_CHUNK_BYTES
+    })
 }
 
 /// Returns true if a record has what its kind must have. Other readers refuse a text that is not

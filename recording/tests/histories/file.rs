@@ -291,6 +291,9 @@ impl Layout {
                     let head = place.start..place.start + head_bytes;
                     let (mut inner, mut rest) = (head.end, &data[..]);
                     let is_proved = header.uncompressed_crc != 0;
+                    if !is_proved {
+                        layout.unproved.push(place.clone());
+                    }
                     if !header.compression.is_empty() {
                         // Its records have no places of their own.
                         let records = self::records(content);
@@ -301,9 +304,6 @@ impl Layout {
                             layout.add(kind, content, vec![place.clone()], &mut messages);
                         }
                         continue;
-                    }
-                    if !is_proved {
-                        layout.unproved.push(place.clone());
                     }
                     while !rest.is_empty() {
                         let (kind, content) = split(rest);

@@ -6,9 +6,7 @@ use std::io::Cursor;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, WriteOptions};
 
-use super::file::{CHUNK_HEAD, split};
 use crate::common::random::Random;
-use crate::raw::{MAGIC, of_kind};
 
 /// Start of every bag, give or take minutes.
 const BEGAN: u64 = 1_700_000_000_000_000_000;
@@ -47,7 +45,7 @@ pub(super) fn bag(random: &mut Random) -> Vec<u8> {
     }
     if random.once_in(4) {
         let (name, media_type) = ("map.yaml".to_owned(), "text/yaml".to_owned());
-        let data = vec![7; random.below(99) as usize].into();
+        let data = vec![*random.pick(&[0, 7]); random.below(999) as usize].into();
         let attachment = Attachment { log_time: 1, create_time: 1, name, media_type, data };
         writer.attach(&attachment).unwrap();
     }
@@ -88,7 +86,9 @@ pub(super) fn bag(random: &mut Random) -> Vec<u8> {
         let data = match name {
             "sensor_msgs/msg/LaserScan" if !random.once_in(8) => laser_scan(random),
             TRANSFORMS if !random.once_in(8) => transforms(random),
-            _ => (0..random.below(200)).map(|_| random.next() as u8).collect(),
+            // Of no form of CDR.
+            TRANSFORMS => [vec![9], bytes(random)].concat(),
+            _ => bytes(random),
         };
         writer.write_to_known_channel(&header, &data).unwrap();
     }
@@ -96,54 +96,15 @@ pub(super) fn bag(random: &mut Random) -> Vec<u8> {
     writer.into_inner().into_inner()
 }
 
-/// Writes a complete file anew as a later version of the format may: with more fields at the ends
-/// of records, and with records of kinds that do not exist yet. Leaves out the index, whose places
-/// would be wrong.
-pub(super) fn grown(random: &mut Random, file: &[u8]) -> Vec<u8> {
-    let (mut out, mut rest) = (MAGIC.to_vec(), &file[MAGIC.len()..]);
-    loop {
-        let (kind, content) = split(rest);
-        rest = &rest[9 + content.len()..];
-        match kind {
-            // Its positions may be wrong.
-            0x07 if random.once_in(2) => continue,
-            0x06 => {
-                let (head, mut records) = content.split_at(CHUNK_HEAD - 9);
-                let mut inner = Vec::new();
-                while !records.is_empty() {
-                    let (kind, content) = split(records);
-                    records = &records[9 + content.len()..];
-                    inner.extend(grown_record(random, kind, content));
-                }
-                let (size, crc) = ((inner.len() as u64).to_le_bytes(), crc32fast::hash(&inner));
-                let crc = if head[24..28] == [0; 4] { 0 } else { crc };
-                let head = [&head[..16], &size, &crc.to_le_bytes(), &[0; 4], &size].concat();
-                out.extend(grown_record(random, kind, &[head, inner].concat()));
-            }
-            0x0f => {
-                let crc = if content == [0; 4] { 0 } else { crc32fast::hash(&out) };
-                out.extend(of_kind(kind, &crc.to_le_bytes()));
-                return [out, of_kind(0x02, &[0; 20]), MAGIC.to_vec()].concat();
-            }
-            _ => out.extend(grown_record(random, kind, content)),
-        }
-    }
-}
-
-/// Writes a record, and perhaps another one after it.
-fn grown_record(random: &mut Random, kind: u8, content: &[u8]) -> Vec<u8> {
-    let mut bytes = |most| -> Vec<u8> {
-        let length = if random.once_in(3) { 1 + random.below(most) } else { 0 };
-        (0..length).map(|_| random.next() as u8).collect()
+/// Returns any data, or small numbers, which have many zeros.
+fn bytes(random: &mut Random) -> Vec<u8> {
+    let (length, width) = (random.below(200), *random.pick(&[1, 8, 200]));
+    let byte = |at| match (width, at % width) {
+        (1, _) => random.next() as u8,
+        (_, 0 | 1) => random.below(16) as u8,
+        _ => 0,
     };
-    // The format promises that messages stay as they are.
-    let more = if kind == 0x05 { Vec::new() } else { bytes(12) };
-    let mut out = of_kind(kind, &[content, &more].concat());
-    let other = bytes(60);
-    if let Some((kind, content)) = other.split_first() {
-        out.extend(of_kind((*kind).max(0x10), content));
-    }
-    out
+    (0..length).map(byte).collect()
 }
 
 /// Returns the profile of one publisher in YAML.
@@ -229,7 +190,7 @@ pub(super) fn letters(data: &[u8]) -> Vec<String> {
 /// Returns true if the message has the form of [`laser_scan`], compressed ones excepted.
 pub(super) fn is_readable(data: &[u8]) -> bool {
     // The sequences decide: the ranges, and no intensities.
-    let Some(([0, order @ (0 | 1 | 6 | 7), 0, _], rest)) = data.split_first_chunk() else {
+    let Some(([0, order @ (0 | 1 | 6 | 7), _, _], rest)) = data.split_first_chunk() else {
         return false;
     };
     let number = |at: usize| {

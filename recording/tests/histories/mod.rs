@@ -8,6 +8,7 @@
 
 mod file;
 mod foreign;
+mod form;
 mod keep;
 mod own;
 
@@ -24,9 +25,11 @@ use tokio_scip::Scan;
 use urg_recording::{Compression, Copied, Entry, Recording, RecordingError, cut, repair};
 
 use self::file::{Layout, Message, messages, metadata, plain, read, topics};
-use self::foreign::{bag, grown};
+use self::foreign::bag;
+use self::form::rewritten;
 use self::own::{Delivered, Own, nanos, own};
 use crate::common::random::{Random, seeds};
+use crate::raw::MAGIC;
 
 /// Number of scans from which the window of a stream without a description is known: the driver
 /// widens three polls of four.
@@ -54,6 +57,8 @@ struct File {
     is_complete: bool,
     /// True if it has an index.
     has_index: bool,
+    /// True if records may stand both in chunks and outside: damage then costs more.
+    is_mixed: bool,
     /// True if damage that no checksum shows may have changed messages.
     is_loose: bool,
     /// True if its damage shows in a checksum.
@@ -67,7 +72,7 @@ impl File {
         let must = read(&bytes)?;
         let (may, topics) = (must.clone(), topics(&bytes));
         let (is_complete, has_index, is_loose, is_proved) = (true, true, false, false);
-        let (metadata, stream) = (metadata(&bytes), None);
+        let (metadata, stream, is_mixed) = (metadata(&bytes), None, false);
         Ok(Self {
             bytes,
             must,
@@ -76,20 +81,22 @@ impl File {
             metadata,
             is_complete,
             has_index,
+            is_mixed,
             is_loose,
             is_proved,
             stream,
         })
     }
 
-    /// Writes some files anew in a form that the format allows.
-    fn grown(self, random: &mut Random) -> Result<Self, Wrong> {
-        if !random.once_in(3) {
+    /// Writes some files anew in another form that the format allows.
+    fn rewritten(self, random: &mut Random) -> Result<Self, Wrong> {
+        if random.once_in(2) {
             return Ok(self);
         }
-        let bytes = grown(random, &plain(&self.bytes));
-        is_so(messages(&bytes)? == self.must, || "grown: another reader".to_owned())?;
-        Ok(Self { bytes, has_index: false, ..self })
+        let is_mixed = random.once_in(4);
+        let bytes = rewritten(random, &plain(&self.bytes), is_mixed);
+        is_so(messages(&bytes)? == self.must, || "rewritten: another reader".to_owned())?;
+        Ok(Self { bytes, has_index: false, is_mixed, ..self })
     }
 
     fn is_sorted(&self) -> bool {
@@ -273,6 +280,11 @@ fn is_wider(found: &Scan, delivered: &Scan) -> bool {
 /// Number of histories whose files other readers read.
 const FOR_OTHERS: u64 = 60;
 
+/// Returns whether one of the places overlaps another one.
+fn is_in(places: &[Range<usize>]) -> impl Fn(&Range<usize>) -> bool + Copy {
+    |place| places.iter().any(|hit| hit.start < place.end && place.start < hit.end)
+}
+
 /// Kinds of steps, for the report.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Step {
@@ -301,11 +313,11 @@ impl History {
                 let stream = Some(&recording.delivered).filter(|_| recording.is_alone);
                 for file in &recording.files {
                     let file = File { stream, ..File::whole(file.clone())? };
-                    shelf.push(file.grown(&mut random)?);
+                    shelf.push(file.rewritten(&mut random)?);
                 }
             } else {
                 let bag = bag(&mut random);
-                shelf.push(File::whole(bag)?.grown(&mut random)?);
+                shelf.push(File::whole(bag)?.rewritten(&mut random)?);
             }
         }
         Ok(Self { random, shelf, is_on_disk, steps: Vec::new() })
@@ -314,12 +326,12 @@ impl History {
     fn run(&mut self) -> Result<(), Wrong> {
         for _ in 0..1 + self.random.below(5) {
             let place = self.random.below(self.shelf.len() as u64) as usize;
-            let is_complete = self.shelf[place].is_complete;
+            let File { is_complete, is_mixed, .. } = self.shelf[place];
             let step = match (self.random.below(5), is_complete) {
                 (0, _) => Step::Join,
                 (1, true) => Step::Cut,
                 (2, true) => Step::CutOff,
-                (3, true) => Step::Damage,
+                (3, true) if !is_mixed => Step::Damage,
                 _ => Step::Repair,
             };
             self.steps.push(step);
@@ -534,9 +546,12 @@ impl History {
         let random = &mut self.random;
         let mut places: Vec<usize> = Vec::new();
         for _ in 0..1 + random.below(3) {
-            places.push(match random.once_in(2) {
-                true => *random.pick(&layout.boundaries),
-                false => random.below(whole.bytes.len() as u64) as usize,
+            let last = places.last().filter(|_| random.once_in(3));
+            places.push(match (last, random.once_in(2)) {
+                // Near the last one.
+                (Some(last), _) => (last + random.below(100) as usize).min(whole.bytes.len() - 1),
+                (None, true) => *random.pick(&layout.boundaries),
+                (None, false) => random.below(whole.bytes.len() as u64) as usize,
             });
         }
         // From the end, so that the places before it stay.
@@ -544,13 +559,19 @@ impl History {
         let mut file = whole.clone();
         let (mut hits, mut struck) = (Vec::<Range<usize>>::new(), Vec::<Range<usize>>::new());
         for at in places {
+            // A damage after it took the rest.
+            if at + 9 > file.bytes.len() {
+                continue;
+            }
             let is_boundary = layout.boundaries.contains(&at);
-            let kind = random.below(5);
-            let width = [1, 1 + random.below(3), 1 + random.below(40)][random.below(3) as usize];
+            let kind = random.below(6);
+            let widths = [1, 1 + random.below(3), 1 + random.below(40), 1 + random.below(600)];
+            let width = *random.pick(&widths);
             let end = (at + width as usize).min(file.bytes.len());
             match kind {
                 0 => file.bytes[at..end].fill_with(|| random.next() as u8),
                 1 => file.bytes[at] ^= 1 << random.below(8),
+                5 => file.bytes[at..end].fill(0),
                 2 => {
                     let stray = (0..end - at).map(|_| match random.once_in(2) {
                         true => random.below(0x12) as u8,
@@ -579,7 +600,7 @@ impl History {
             struck.push(at..end);
             hits.extend(layout.swallowed(&whole.bytes, &file.bytes, at));
             match kind {
-                0 => hits.push(at..end),
+                0 | 5 => hits.push(at..end),
                 1 => hits.push(at..at + 1),
                 _ => {
                     hits.push(if kind == 2 { at..at } else { at..end });
@@ -604,9 +625,21 @@ impl History {
                 }
             }
         }
-        let is_hit = |place: &Range<usize>| {
-            hits.iter().any(|hit| hit.start < place.end && place.start < hit.end)
-        };
+        let mut is_loose = layout.is_unproved(is_in(&hits)) || layout.hides_chunk(&struck);
+        let struck_end = struck.iter().map(|hit| hit.end).max().unwrap_or(MAGIC.len());
+        if let Some(rest @ 1..) = whole.bytes.len().checked_sub(struck_end)
+            && random.once_in(4)
+        {
+            // Cut off, too: nothing proves the last chunk.
+            let end = struck_end + random.below(rest as u64) as usize;
+            file.bytes.truncate((file.bytes.len() + end).saturating_sub(whole.bytes.len()));
+            hits.push(end..usize::MAX);
+            is_loose |= layout
+                .chunks
+                .iter()
+                .any(|(chunk, _)| chunk.contains(&end) && is_in(&struck)(chunk));
+        }
+        let is_hit = is_in(&hits);
         // The footer has the position of the index.
         let has_index = whole.has_index && file.bytes.len() == whole.bytes.len();
         file.must = layout.survivors(is_hit, self.is_on_disk && has_index);
@@ -615,7 +648,6 @@ impl History {
         if file.must.is_empty() {
             return whole.clone();
         }
-        let is_loose = layout.is_unproved(is_hit) || layout.hides_chunk(&struck);
         let is_proved = layout.has_sum
             && !is_hit(&(layout.summary.start..layout.summary.start + 13))
             && file.bytes[..layout.summary.start.min(file.bytes.len())]

@@ -90,7 +90,7 @@ impl Records {
             let extent = measure(bytes, after);
             let begins = |at, kinds| begins(bytes, after, at, kinds);
             let next = match &extent {
-                Ok(extent) if self.chunk.is_proved => extent.end,
+                Ok(extent) if self.chunk.is_proved || extent.is_proved() => extent.end,
                 Ok(extent) => {
                     let kinds = |at| if at == extent.end { |_| true } else { is_known };
                     next_start(extent, known, |at| begins(at, kinds(at))).unwrap_or(known)

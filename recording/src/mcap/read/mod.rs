@@ -210,7 +210,7 @@ impl Records {
         if extent.kind == kind::MESSAGE || extent.is_chunk {
             self.has_chunks.get_or_insert(extent.is_chunk);
         }
-        let next = self.next_start(&extent)?;
+        let next = if extent.is_proved() { extent.end } else { self.next_start(&extent)? };
         if next < extent.end {
             let error = self.damaged(WRONG_HEAD);
             self.used = next as usize;
@@ -291,20 +291,10 @@ impl Records {
 
     /// Returns where the record after this one begins, counted from here.
     fn next_start(&mut self, extent: &Extent) -> Result<u64, RecordingError> {
-        let known = match extent.is_proved() {
-            true => 0,
-            false => self.window.peek(extent.end.min(MAX_CHUNK_BYTES) as usize)?.len() as u64,
-        };
+        let known = self.window.peek(extent.end.min(MAX_CHUNK_BYTES) as usize)?.len() as u64;
         next_start(extent, known, |at| {
-            let is_chunked = self.has_chunks == Some(true);
             let kinds = match at {
-                _ if at == extent.end => {
-                    if is_chunked && !extent.is_chunk {
-                        outside_chunks
-                    } else {
-                        |_| true
-                    }
-                }
+                _ if at == extent.end => |_| true,
                 _ if at == 1 || at == extent.fields => is_known,
                 _ => self.kinds_to_find()?,
             };
