@@ -157,96 +157,11 @@ pub(super) fn is_same(listed: &str, path: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use tokio_serial::UsbPortInfo;
-
     use super::*;
-
-    fn port(path: &str, usb: Option<(u16, u16)>) -> SerialPortInfo {
-        let port_type = usb.map_or(SerialPortType::Unknown, |(vid, pid)| {
-            let (serial_number, manufacturer, product) = (None, None, None);
-            let info = UsbPortInfo { vid, pid, serial_number, manufacturer, product };
-            SerialPortType::UsbPort(info)
-        });
-        SerialPortInfo { port_name: path.to_owned(), port_type }
-    }
-
-    #[test]
-    fn sensors_come_first_and_numbers_count_as_numbers() {
-        let adapter = Some((0x0403, 0x6001));
-        let mut ports = [
-            port("/dev/ttyS0", None),
-            port("/dev/ttyUSB10", adapter),
-            port("/dev/ttyUSB9", adapter),
-            port("/dev/ttyACM2", Some((0x15d1, 0x0005))),
-            port("/dev/ttyACM0", adapter),
-        ]
-        .map(|port| port_info(port, &[]));
-        ports.sort_by_cached_key(order);
-        assert_eq!(
-            ports.map(|port| port.path),
-            ["/dev/ttyACM2", "/dev/ttyACM0", "/dev/ttyUSB9", "/dev/ttyUSB10", "/dev/ttyS0"]
-        );
-    }
-
-    #[test]
-    fn what_a_usb_device_says_of_itself_is_told() {
-        let usb = UsbPortInfo {
-            vid: 0x15d1,
-            pid: 0x0000,
-            serial_number: None,
-            manufacturer: Some("Hokuyo Data Flex for USB".to_owned()),
-            product: Some("URG-Series USB Driver\n".to_owned()),
-        };
-        let port_name = "/dev/ttyACM0".to_owned();
-        let port = SerialPortInfo { port_name, port_type: SerialPortType::UsbPort(usb) };
-        let info = port_info(port, &[]);
-        assert!(info.likely_sensor);
-        assert_eq!(info.usb_id.as_deref(), Some("15d1:0000"));
-        let [product, maker] =
-            [info.product, info.manufacturer].map(|text| text.map(|text| text.to_string()));
-        assert_eq!(product.as_deref(), Some(r"URG-Series USB Driver\n"), "escaped");
-        assert_eq!(maker.as_deref(), Some("Hokuyo Data Flex for USB"));
-    }
 
     #[test]
     fn a_windows_port_is_the_same_under_all_its_names() {
         assert!(is_same("COM3", r"\\.\com3"));
         assert!(!is_same("COM3", "COM30"));
-    }
-
-    #[cfg(unix)]
-    #[test]
-    fn a_port_knows_the_links_to_it() -> std::io::Result<()> {
-        let scratch = std::env::temp_dir().join(format!("tokio-scip-list-{}", std::process::id()));
-        let by_path = scratch.join("by-path");
-        fs::create_dir_all(&by_path)?;
-        let device = scratch.join("ttyACM0");
-        fs::write(&device, "")?;
-        fs::write(scratch.join("ttyACM1"), "")?;
-        for name in ["usbv2-0:1", "usb-0:1"] {
-            std::os::unix::fs::symlink("../ttyACM0", by_path.join(name))?;
-        }
-        std::os::unix::fs::symlink("../gone", by_path.join("usb-0:2"))?;
-
-        let stable = stable_paths(&by_path);
-        let info = |path: &Path| {
-            let port_name = path.to_string_lossy().into_owned();
-            port_info(SerialPortInfo { port_name, port_type: SerialPortType::Unknown }, &stable)
-        };
-        let link = by_path.join("usb-0:1").to_string_lossy().into_owned();
-        let other = by_path.join("usbv2-0:1").to_string_lossy().into_owned();
-        assert_eq!(info(&device).stable_paths, [link.clone(), other]);
-        assert!(info(&scratch.join("ttyACM1")).stable_paths.is_empty());
-        assert!(is_same(&device.to_string_lossy(), &link));
-        assert!(!is_same(&scratch.join("ttyACM1").to_string_lossy(), &link));
-
-        fs::create_dir_all(scratch.join("sys/ttyS0"))?;
-        fs::create_dir_all(scratch.join("sys/ttyS1"))?;
-        fs::write(scratch.join("sys/ttyS0/type"), "4\n")?;
-        fs::write(scratch.join("sys/ttyS1/type"), "0\n")?;
-        assert!(!is_without_hardware("/dev/ttyS0", &scratch.join("sys")));
-        assert!(is_without_hardware("/dev/ttyS1", &scratch.join("sys")));
-        assert!(!is_without_hardware("/dev/ttyACM0", &scratch.join("sys")));
-        fs::remove_dir_all(scratch)
     }
 }

@@ -92,6 +92,7 @@ fn list_port(name: &str, usb_id: Option<&str>) {
         fs::write(device.join("idVendor"), vendor).unwrap();
         fs::write(device.join("idProduct"), product).unwrap();
         fs::write(device.join("product"), "URG-Series USB Driver\n").unwrap();
+        fs::write(device.join("manufacturer"), "Hokuyo Data Flex\x1b for USB\n").unwrap();
     }
     let subsystem = class.join(if usb_id.is_some() { "usb" } else { "pnp" });
     fs::create_dir_all(&subsystem).unwrap();
@@ -199,8 +200,14 @@ async fn the_list_has_sensors_first_and_no_name_without_hardware() {
     }
     assert_eq!(list().await.unwrap(), []);
     let adapter = "0403:6001";
-    let ports =
-        [("ttyS0", None), ("ttyS1", None), ("ttyUSB0", Some(adapter)), ("ttyACM0", Some(URG))];
+    let ports = [
+        ("ttyS0", None),
+        ("ttyS1", None),
+        ("ttyUSB9", Some(adapter)),
+        ("ttyUSB10", Some(adapter)),
+        ("ttyACM0", Some(adapter)),
+        ("ttyACM2", Some(URG)),
+    ];
     for (name, usb_id) in ports {
         list_port(name, usb_id);
         fs::write(Path::new("/dev").join(name), "").unwrap();
@@ -209,16 +216,26 @@ async fn the_list_has_sensors_first_and_no_name_without_hardware() {
     fs::write("/sys/class/tty/ttyS0/type", "4\n").unwrap();
     fs::write("/sys/class/tty/ttyS1/type", "0\n").unwrap();
     fs::create_dir_all("/dev/serial/by-path").unwrap();
-    symlink("../../ttyACM0", "/dev/serial/by-path/usb-0:1").unwrap();
+    let links =
+        ["usb-0:1", "usb-1:1", "usbv2-0:1"].map(|link| format!("/dev/serial/by-path/{link}"));
+    for link in [1, 2, 0] {
+        symlink("../../ttyACM2", &links[link]).unwrap();
+    }
+    symlink("../../gone", "/dev/serial/by-path/usb-0:2").unwrap();
 
     let ports = list().await.unwrap();
     let names: Vec<_> = ports.iter().map(|port| port.path.as_str()).collect();
-    assert_eq!(names, ["/dev/ttyACM0", "/dev/ttyUSB0", "/dev/ttyS0"]);
+    let in_order = ["ttyACM2", "ttyACM0", "ttyUSB9", "ttyUSB10", "ttyS0"];
+    assert_eq!(names, in_order.map(|name| format!("/dev/{name}")));
     let ids: Vec<_> = ports.iter().map(|port| port.usb_id.as_deref()).collect();
-    assert_eq!(ids, [Some(URG), Some(adapter), None]);
-    let product = ports[0].product.as_ref().map(ToString::to_string);
+    assert_eq!(ids, [Some(URG), Some(adapter), Some(adapter), Some(adapter), None]);
+    let [product, maker] = [&ports[0].product, &ports[0].manufacturer]
+        .map(|text| text.as_ref().map(ToString::to_string));
     assert_eq!(product.as_deref(), Some("URG-Series USB Driver"));
-    assert_eq!(ports[0].stable_paths, ["/dev/serial/by-path/usb-0:1"]);
+    assert_eq!(maker.as_deref(), Some(r"Hokuyo Data Flex\x1b for USB"), "escaped");
+    assert_eq!(ports[0].stable_paths, links);
+    assert!(ports[0].likely_sensor && ports[1..].iter().all(|port| !port.likely_sensor));
+    assert!(ports[1..].iter().all(|port| port.stable_paths.is_empty()));
 
     fs::remove_dir_all("/sys/class/tty").unwrap();
     assert_eq!(list().await.unwrap(), [], "a container without the folder");
