@@ -2,7 +2,6 @@
 //! loss of the link.
 
 use std::fmt;
-use std::pin::Pin;
 
 use super::{Connect, ConnectHints, Endpoint, Port};
 #[cfg(feature = "tcp")]
@@ -115,39 +114,9 @@ impl Connect for EndpointConnector {
     }
 
     fn hints(&mut self) -> Option<&mut dyn ConnectHints> {
-        Some(self)
-    }
-}
-
-impl ConnectHints for EndpointConnector {
-    fn has_more(&mut self) -> bool {
-        match &self.route {
-            #[cfg(feature = "serial")]
-            Route::SerialNumber(search) => search.has_more(),
-            _ => false,
-        }
-    }
-
-    fn found(&mut self) {
         match &mut self.route {
             #[cfg(feature = "serial")]
-            Route::SerialNumber(search) => search.start_over(),
-            _ => {}
-        }
-    }
-
-    fn port_appears(&mut self) -> Option<Pin<Box<dyn Future<Output = ()> + Send + '_>>> {
-        match &mut self.route {
-            #[cfg(feature = "serial")]
-            Route::SerialNumber(search) => Some(Box::pin(search.port_appears())),
-            _ => None,
-        }
-    }
-
-    fn expected_serial_number(&mut self) -> Option<&str> {
-        match &self.route {
-            #[cfg(feature = "serial")]
-            Route::SerialNumber(search) => Some(search.serial_number()),
+            Route::SerialNumber(search) => Some(search),
             _ => None,
         }
     }

@@ -22,8 +22,8 @@ use crate::{BaudRate, Error, ErrorKind};
 /// a text that parses to the same endpoint. Fields that you set yourself are not checked, and their
 /// text may not parse.
 ///
-/// A [`Path`](std::path::Path) is always a serial port. With feature `serde`, an endpoint is
-/// serialised as its text.
+/// A [`Path`](std::path::Path) is always a serial port; it must be UTF-8 without control characters.
+/// With feature `serde`, an endpoint is serialised as its text.
 ///
 /// ```
 /// use tokio_scip::{BaudRate, Endpoint};
@@ -105,39 +105,9 @@ impl FromStr for Endpoint {
     }
 }
 
-impl TryFrom<&str> for Endpoint {
-    type Error = Error;
-
-    fn try_from(text: &str) -> Result<Self, Error> {
-        text.parse()
-    }
-}
-
-impl TryFrom<&String> for Endpoint {
-    type Error = Error;
-
-    fn try_from(text: &String) -> Result<Self, Error> {
-        text.parse()
-    }
-}
-
-impl TryFrom<String> for Endpoint {
-    type Error = Error;
-
-    fn try_from(text: String) -> Result<Self, Error> {
-        text.parse()
-    }
-}
-
-/// Takes the path for a serial port, whatever it looks like.
-impl TryFrom<&Path> for Endpoint {
-    type Error = Error;
-
-    /// # Errors
-    ///
-    /// Fails with [`ErrorKind::InvalidEndpoint`] if the path is empty, is not UTF-8 or has a
-    /// control character.
-    fn try_from(path: &Path) -> Result<Self, Error> {
+impl Endpoint {
+    /// Takes the path for a serial port, whatever it looks like.
+    fn from_path(path: &Path) -> Result<Self, Error> {
         let endpoint = match path.to_str() {
             Some("") => Err(EMPTY),
             Some(path) if path.contains(char::is_control) => {
@@ -151,21 +121,20 @@ impl TryFrom<&Path> for Endpoint {
     }
 }
 
-impl TryFrom<&PathBuf> for Endpoint {
-    type Error = Error;
+macro_rules! convert {
+    ($($from:ty => $convert:ident),+) => {
+        $(impl TryFrom<$from> for Endpoint {
+            type Error = Error;
 
-    fn try_from(path: &PathBuf) -> Result<Self, Error> {
-        path.as_path().try_into()
-    }
+            fn try_from(from: $from) -> Result<Self, Error> {
+                Self::$convert(from.as_ref())
+            }
+        })+
+    };
 }
 
-impl TryFrom<PathBuf> for Endpoint {
-    type Error = Error;
-
-    fn try_from(path: PathBuf) -> Result<Self, Error> {
-        path.as_path().try_into()
-    }
-}
+convert!(&str => from_str, &String => from_str, String => from_str);
+convert!(&Path => from_path, &PathBuf => from_path, PathBuf => from_path);
 
 /// As data: its text, such as `"/dev/ttyACM0"`.
 #[cfg(feature = "serde")]

@@ -158,74 +158,36 @@ fn node(port: &str) -> io::Result<Node> {
 #[cfg(all(test, unix))]
 mod tests {
     use super::*;
+    use crate::ErrorChain;
 
-    const PORT: &str = "/dev/ttyACM0";
-
-    fn device() -> Node {
+    #[test]
+    fn o05_each_failure_names_its_remedy() {
+        const DENIED: io::ErrorKind = io::ErrorKind::PermissionDenied;
         let group = Some("dialout".to_owned());
-        Node { is_device: true, group, is_new: false, is_abandoned: false }
-    }
-
-    fn unknown(text: &str) -> tokio_serial::Error {
-        tokio_serial::Error::new(Cause::Unknown, text)
-    }
-
-    fn denied() -> tokio_serial::Error {
-        tokio_serial::Error::new(Cause::Io(io::ErrorKind::PermissionDenied), "Permission denied")
-    }
-
-    #[test]
-    fn o05_permission_denied_names_the_group_to_join() {
-        let error = explain_with(PORT, denied(), Ok(device()));
-        let text = error.to_string();
-        assert!(matches!(error, ErrorKind::PermissionDenied { .. }), "{text}");
-        assert!(text.contains("usermod -aG dialout"), "{text}");
-        assert!(!error.is_transient(), "waiting does not help");
-    }
-
-    #[test]
-    fn permission_denied_on_a_new_device_may_pass() {
-        let error = explain_with(PORT, denied(), Ok(Node { is_new: true, ..device() }));
-        assert!(matches!(error, ErrorKind::Open { .. }), "{error}");
-        assert!(error.is_transient(), "udev is about to give it to its group");
-    }
-
-    #[test]
-    fn a_container_device_is_no_matter_of_groups() {
-        let error = explain_with(PORT, unknown("Operation not permitted"), Ok(device()));
-        assert!(matches!(error, ErrorKind::PermissionDenied { group: None, .. }), "{error}");
-    }
-
-    #[test]
-    fn o04_a_port_locked_by_another_program_is_busy() {
-        let text = "Unable to acquire exclusive lock on serial port";
-        let error = tokio_serial::Error::new(Cause::NoDevice, text);
-        assert!(matches!(explain_with(PORT, error, Ok(device())), ErrorKind::Busy { .. }));
-    }
-
-    #[test]
-    fn a_port_unplugged_while_opened_is_missing() {
-        for text in ["I/O error", "No such device"] {
-            let error = explain_with(PORT, unknown(text), Err(io::ErrorKind::NotFound.into()));
-            assert!(matches!(error, ErrorKind::NoSuchPort { .. }), "{error}");
+        let node = Node { is_device: true, group, is_new: false, is_abandoned: false };
+        let new = Node { is_new: true, ..node.clone() };
+        let here = || Ok(node.clone());
+        let missing = |kind: io::ErrorKind| Err(kind.into());
+        for (cause, text, node, remedy, is_transient) in [
+            (Cause::Io(DENIED), "", here(), "`sudo usermod -aG dialout $USER`", false),
+            // udev is about to give it to its group.
+            (Cause::Io(DENIED), "Permission denied", Ok(new), "cannot open port: Permission", true),
+            // In a container, and in a folder that is closed to the user, a group does not help.
+            (Cause::Unknown, "Operation not permitted", here(), "give the user read and", false),
+            (Cause::Unknown, "", missing(DENIED), "give the user read and", false),
+            (Cause::NoDevice, "Unable to acquire exclusive lock", here(), "port is in use", true),
+            // Unplugged while it was opened.
+            (Cause::Unknown, "I/O error", missing(io::ErrorKind::NotFound), "no port", true),
+            // A name without a device.
+            (Cause::Unknown, "No such device", here(), "no port", true),
+            (Cause::Unknown, "I/O error", here(), "cannot open port: I/O error", true),
+            (Cause::Unknown, "", missing(io::ErrorKind::TimedOut), "cannot open port: timed", true),
+        ] {
+            let kind = explain_with("port", tokio_serial::Error::new(cause, text), node);
+            let found = ErrorChain(&kind).to_string();
+            assert!(found.contains(remedy), "{found}");
+            assert_eq!(kind.is_transient(), is_transient, "{found}");
         }
-        let error = explain_with(PORT, unknown("No such device"), Ok(device()));
-        assert!(matches!(error, ErrorKind::NoSuchPort { .. }), "{error}: a name without a device");
-    }
-
-    #[test]
-    fn a_closed_folder_is_no_matter_of_groups() {
-        let error = not_found(PORT, io::ErrorKind::PermissionDenied.into());
-        assert!(matches!(error, ErrorKind::PermissionDenied { group: None, .. }), "{error}");
-        let error = not_found(PORT, io::ErrorKind::TimedOut.into());
-        assert!(matches!(error, ErrorKind::Open { .. }), "{error}");
-    }
-
-    #[test]
-    fn an_unknown_failure_keeps_its_cause() {
-        let error = explain_with(PORT, unknown("I/O error"), Ok(device()));
-        let source = std::error::Error::source(&error).map(ToString::to_string);
-        assert_eq!(source.as_deref(), Some("I/O error"));
     }
 
     #[test]

@@ -8,11 +8,13 @@ mod tests;
 
 use std::future::Future;
 use std::mem::replace;
+use std::pin::Pin;
 use std::time::Duration;
 
 use tokio::time::{Instant, sleep, timeout};
 
 pub(super) use self::system_ports::SystemPorts;
+use super::ConnectHints;
 use crate::{Error, ErrorChain, ErrorKind};
 
 /// Time for which busy ports are retried. A service that opens several sensors at once tries each
@@ -71,22 +73,8 @@ impl<P: Ports> Search<P> {
         Self { serial_number, ports, listed: Vec::new(), pass: None }
     }
 
-    pub(super) fn serial_number(&self) -> &str {
-        &self.serial_number
-    }
-
-    /// Returns true until a call has found no candidate left.
-    pub(super) fn has_more(&self) -> bool {
-        self.pass.is_some()
-    }
-
-    /// Ends the pass: the next call lists the candidates again.
-    pub(super) fn start_over(&mut self) {
-        self.pass = None;
-    }
-
     /// Returns when a port has appeared since the latest listing, or hangs no longer.
-    pub(super) async fn port_appears(&mut self) {
+    async fn wait_for_port(&mut self) {
         loop {
             sleep(LISTING_INTERVAL).await;
             if self.ports.one_hangs_no_longer() {
@@ -107,7 +95,7 @@ impl<P: Ports> Search<P> {
         loop {
             if self.ports.one_hangs_no_longer() {
                 // The sensor on it may have been silent before.
-                self.start_over();
+                self.pass = None;
             }
             self.listed = self.ports.candidates().await?;
             let pass = self.pass.get_or_insert_default();
@@ -150,5 +138,25 @@ impl<P: Ports> Search<P> {
         let denied = self.pass.take().and_then(|pass| pass.denied);
         let missing = || ErrorKind::NoSuchSensor { serial_number: self.serial_number.clone() };
         Err(denied.unwrap_or_else(|| missing().into()))
+    }
+}
+
+impl<P: Ports> ConnectHints for Search<P> {
+    /// Returns true until a call has found no candidate left.
+    fn has_more(&mut self) -> bool {
+        self.pass.is_some()
+    }
+
+    /// Ends the pass: the next call lists the candidates again.
+    fn found(&mut self) {
+        self.pass = None;
+    }
+
+    fn port_appears(&mut self) -> Option<Pin<Box<dyn Future<Output = ()> + Send + '_>>> {
+        Some(Box::pin(self.wait_for_port()))
+    }
+
+    fn expected_serial_number(&mut self) -> Option<&str> {
+        Some(&self.serial_number)
     }
 }

@@ -191,12 +191,12 @@ async fn between_passes_only_a_new_port_is_told() {
     search.ports.appears += Duration::from_secs(10);
     assert_eq!(next(&mut search).await, "no H0713090");
     // Dropped and called again, as by a driver that backs off.
-    while timeout(Duration::from_secs(1), search.port_appears()).await.is_err() {
+    while timeout(Duration::from_secs(1), search.wait_for_port()).await.is_err() {
         assert_eq!(next(&mut search).await, "no H0713090");
     }
     assert!(search.ports.appears.elapsed() <= LISTING_INTERVAL);
     assert_eq!(next(&mut search).await, "new");
-    let appears = search.port_appears();
+    let appears = search.wait_for_port();
     assert!(timeout(Duration::from_secs(10), appears).await.is_err(), "nothing is new");
 }
 
@@ -278,7 +278,7 @@ async fn a_sensor_is_found_soon_after_it_takes_bytes_again() {
                 }
                 search.ports.is_closing = true;
             } else {
-                let _ = timeout(Duration::from_secs(1), search.port_appears()).await;
+                let _ = timeout(Duration::from_secs(1), search.wait_for_port()).await;
             }
         }
         assert!(until.elapsed() <= LISTING_INTERVAL, "{after:?}: {:?}", until.elapsed());
