@@ -243,7 +243,7 @@ impl Sensor {
     /// one fence: 1.5 s and their time on the wire, unless you set
     /// [`reply_latency`](SensorBuilder::reply_latency).
     pub async fn close(&self) {
-        let _closing = self.client.shared().closing.announce();
+        let _closing = self.client.shared().announce_closing();
         // Any outcome means that the driver has ended.
         let _ = self.client.ask(Request::Close).await;
     }

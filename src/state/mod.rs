@@ -1,7 +1,6 @@
 //! Whether a sensor is connected and its scans are good: [`State`], [`StateWatch`] to await a
 //! change, and [`Freshness`] to check against a limit.
 
-mod closing;
 mod counters;
 mod freshness;
 mod link_log;

@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use super::closing::Closing;
 use super::counters::Counters;
 use super::link_state::LinkState;
 use super::{Freshness, State};
@@ -13,13 +12,25 @@ use crate::{Error, ErrorKind};
 pub(crate) struct Shared {
     pub(crate) link: LinkState,
     pub(crate) counters: Counters,
-    pub(crate) closing: Closing,
+    /// Held by each handle that waits for the driver to close. If its caller drops that future, the
+    /// driver continues, so a `CancellationToken` does not fit: it stays cancelled.
+    closing: Arc<()>,
 }
 
 impl Shared {
     pub(crate) fn new(name: Option<Arc<str>>) -> Self {
-        let (counters, closing) = (Counters::default(), Closing::default());
-        Self { link: LinkState::new(name), counters, closing }
+        Self { link: LinkState::new(name), counters: Counters::default(), closing: Arc::default() }
+    }
+
+    /// Tells the driver that a handle waits for its end, until the guard is dropped.
+    #[must_use]
+    pub(crate) fn announce_closing(&self) -> Arc<()> {
+        Arc::clone(&self.closing)
+    }
+
+    /// Returns true while the driver is closing. A silent sensor then gets no second try.
+    pub(crate) fn is_closing(&self) -> bool {
+        Arc::strong_count(&self.closing) > 1
     }
 
     /// Enters a state. Its error is also why there is no scan.

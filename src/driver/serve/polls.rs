@@ -34,7 +34,7 @@ impl Service<'_> {
             match acquired {
                 Err(ExchangeError::Command(
                     ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
-                )) if tries > 0 && !self.shared.closing.is_announced() => {}
+                )) if tries > 0 && !self.shared.is_closing() => {}
                 Ok(acquired) => return Ok(self.scan_from(window, acquired)),
                 Err(failure) => return Err(failure),
             }

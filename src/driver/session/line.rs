@@ -27,7 +27,7 @@ pub(super) struct Line {
 impl Line {
     /// Returns true while the driver is closing. A silent sensor then gets no second try.
     pub(super) fn is_closing(&self) -> bool {
-        self.shared.closing.is_announced()
+        self.shared.is_closing()
     }
 
     /// Baud rate of the port, unless it has none.
