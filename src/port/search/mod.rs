@@ -42,8 +42,10 @@ pub(super) trait Ports: Send + 'static {
     /// dropped, or to close it.
     fn open(&mut self, path: &str) -> impl Future<Output = Result<Self::Port, Error>> + Send;
 
-    /// Returns true if such a call has ended since the last time.
-    fn one_hangs_no_longer(&mut self) -> bool;
+    /// Returns true if such a call has ended since the last time. Default: `false`, none hangs.
+    fn one_hangs_no_longer(&mut self) -> bool {
+        false
+    }
 }
 
 /// Search through the candidates, which opens one port per call.

@@ -45,10 +45,6 @@ impl Ports for Fake {
             _ => Err(ErrorKind::NoSuchPort { port }.into()),
         }
     }
-
-    fn one_hangs_no_longer(&mut self) -> bool {
-        false
-    }
 }
 
 /// Ports that several searches share. Each port is busy while a search holds it.
@@ -78,10 +74,6 @@ impl Ports for SharedPorts {
             true => Ok(Held(port, Arc::clone(&self.held))),
             false => Err(ErrorKind::Busy { port }.into()),
         }
-    }
-
-    fn one_hangs_no_longer(&mut self) -> bool {
-        false
     }
 }
 
@@ -135,15 +127,6 @@ async fn a_pass_opens_each_port_once() {
     assert!(search.has_more(), "the next call says at once that none is left");
     assert_eq!(next(&mut search).await, "no H0713090");
     assert!(!search.has_more());
-}
-
-#[tokio::test(start_paused = true)]
-async fn the_next_pass_lists_the_ports_anew() {
-    let mut search = search(&[]);
-    assert_eq!(next(&mut search).await, "no H0713090");
-    search.ports.listed = vec![("a", "o")];
-    assert_eq!(next(&mut search).await, "a");
-    assert_eq!(search.ports.listings, 2);
 }
 
 #[tokio::test(start_paused = true)]
