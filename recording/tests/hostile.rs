@@ -310,10 +310,19 @@ fn a_damaged_kind_of_a_later_chunk_is_reported() {
 fn a_message_before_a_cut_off_one_is_found() {
     let (event, stray) = (event(0), [0; 1]);
     let whole = [MAGIC, &channel(), &event, &stray, &event, &event].concat();
-    for missing in 1..event.len() - 9 {
+    for missing in 1..event.len() {
         let (damaged, events, is_truncated) = read(&whole[..whole.len() - missing]);
         assert_eq!((damaged.len(), events, is_truncated), (1, 2, true), "{missing}");
     }
+}
+
+#[test]
+fn a_chunk_between_damages_is_found() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    let damage = [0xee; 40];
+    let file = [MAGIC, &chunk, &damage, &chunk, &damage, &chunk, &end()].concat();
+    let (damaged, events, is_truncated) = read(&file);
+    assert_eq!((damaged.len(), events, is_truncated), (2, 3, false));
 }
 
 #[test]
