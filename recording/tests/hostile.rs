@@ -325,6 +325,28 @@ fn a_chunk_between_damages_is_found() {
     assert_eq!((damaged.len(), events, is_truncated), (2, 3, false));
 }
 
+/// As after `cat`.
+#[test]
+fn a_joined_file_without_chunks_is_searched() {
+    let first = [MAGIC, &chunk_of(&[channel(), event(0)].concat()), &end()].concat();
+    let second = [MAGIC, &channel(), &event(0), &[0xee; 40], &event(0).repeat(2), &end()].concat();
+    let (damaged, events, _) = read(&[first, second].concat());
+    assert_eq!((damaged.len(), events), (1, 4));
+}
+
+/// No checksum proves them.
+#[test]
+fn records_of_a_chunk_without_its_head_are_left_out() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    let index = of_kind(0x07, &[&[0; 2][..], &claims(16), &[0; 16]].concat());
+    let mut damaged = chunk.clone();
+    damaged[0] = 0;
+    for (next, events) in [(&chunk, 1), (&index, 0)] {
+        let file = [MAGIC, &damaged, next, &end()].concat();
+        assert_eq!(read(&file), (vec![8], events, false));
+    }
+}
+
 #[test]
 fn a_message_of_33_mib_is_found() {
     let event = event(0);
