@@ -28,16 +28,13 @@ const LENGTHS: usize = 8;
 /// Lengths that differ by at most this number of bytes count as the same: the driver adds points to a
 /// window, so that consecutive polls differ.
 const SAME_LENGTH: usize = 8;
-/// After a scan that was complete before its pause ended, the next pause ends earlier, by this
-/// fraction of the expected time.
-const FIRST_STEP: u32 = 32;
-/// Each further step is this many times as long, until the driver sees the end of a scan.
+/// After a scan that was complete before its pause ended, the next pause ends earlier, by at least the
+/// first of these and this many times as early as before.
+const FIRST_STEP: Duration = Duration::from_millis(1);
 const STEP_GROWTH: u32 = 4;
 /// Lateness of a tokio timer on an idle runtime: it counts whole milliseconds, and the
 /// current one has already begun.
 const TIMER_DELAY: Duration = Duration::from_millis(1);
-/// Number of scans without a pause after which later timers are tried again.
-const TRIED_AGAIN: u32 = 8;
 
 /// Decides when to pause, and for how long.
 #[derive(Debug, Default)]
@@ -45,7 +42,6 @@ pub(super) struct Pauses {
     /// One for each reply length, the last used first. Replies of different lengths take
     /// different times per byte, because an adapter holds back the end of each.
     transfers: Vec<Transfers>,
-    lateness: Lateness,
     /// Scan that is arriving.
     current: Option<Current>,
 }
@@ -57,18 +53,9 @@ struct Transfers {
     length: usize,
     /// Nanoseconds per byte of the scans whose end was seen, newest first.
     times: [u32; RECENT],
-    /// How much earlier pauses end than these times say, in order to see the end of a scan. Only
-    /// whole milliseconds count.
+    /// How much earlier pauses end than these times say, in order to see the end of a scan although it
+    /// is faster, or timers are late.
     early: Duration,
-}
-
-/// How late timers are.
-#[derive(Debug, Default)]
-struct Lateness {
-    /// Of the last three pauses, newest first, in microseconds.
-    latest: [u32; 3],
-    /// Number of scans since the last pause.
-    unpaused: u32,
 }
 
 /// Partly received scan.
@@ -80,9 +67,8 @@ struct Current {
     missing: usize,
     /// Length including the terminator.
     length: usize,
-    /// End of the pause. `None` while pieces wake the driver, so that it sees when the last
-    /// one arrives.
-    paused_until: Option<Instant>,
+    /// False while pieces wake the driver, so that it sees when the last one arrives.
+    is_paused: bool,
 }
 
 impl Pauses {
@@ -105,9 +91,9 @@ impl Pauses {
         }
         let now = Instant::now();
         let length = present + missing;
-        let first = Current { since: now, missing, length, paused_until: None };
+        let first = Current { since: now, missing, length, is_paused: false };
         let current = self.current.get_or_insert(first);
-        self.lateness.end_pause(current.paused_until.take(), now);
+        current.is_paused = false;
         if current.missing < MIN_PIECES * (length - current.missing) {
             return None;
         }
@@ -115,20 +101,17 @@ impl Pauses {
         // complete.
         let transfers = self.transfers.iter().find(|transfers| transfers.is_for(length))?;
         let end = current.since + transfers.shortest_time(current.missing)?;
-        let margin = TIMER_DELAY + self.lateness.median();
+        let margin = TIMER_DELAY + transfers.early;
         let left = end.min(deadline).saturating_duration_since(now).checked_sub(margin)?;
         // Whole milliseconds, so that the timer is not later than expected.
-        let early = transfers.early.as_millis();
-        let pause = Duration::from_millis(left.as_millis().saturating_sub(early) as u64);
-        current.paused_until = (!pause.is_zero()).then(|| now + pause);
-        current.paused_until
+        let pause = Duration::from_millis(left.as_millis() as u64);
+        current.is_paused = !pause.is_zero();
+        current.is_paused.then(|| now + pause)
     }
 
     /// Records when the last byte of a frame was read, and the frame's length on the wire.
     pub(super) fn end_reply(&mut self, received: Instant, wire_len: u64) {
         let Some(current) = self.current.take() else { return };
-        self.lateness.end_pause(current.paused_until, received);
-        self.lateness.end_scan();
         if wire_len != current.length as u64 {
             return;
         }
@@ -137,7 +120,7 @@ impl Pauses {
         }
         let time = received.saturating_duration_since(current.since);
         if let Some(transfers) = self.transfers.first_mut() {
-            transfers.record(time, current.missing, current.paused_until.is_none());
+            transfers.record(time, current.missing, !current.is_paused);
         }
     }
 
@@ -168,59 +151,16 @@ impl Transfers {
     /// Records the time that `bytes` bytes took to arrive, which is exact only if the driver was
     /// awake when the last one did (`is_seen`).
     fn record(&mut self, time: Duration, bytes: usize, is_seen: bool) {
-        let expected = self.shortest_time(bytes);
-        let is_faster = expected.is_some_and(|expected| time < expected);
-        self.early = match (is_seen, is_faster) {
-            // Now it is known how fast they are.
-            (true, true) => Duration::ZERO,
-            // Slowly: on some lines every third or fourth scan is faster.
-            (true, false) => self.early * 3 / 4,
-            (false, true) => {
-                let step = expected.unwrap_or_default() / FIRST_STEP;
-                (self.early * STEP_GROWTH).max(step).max(TIMER_DELAY)
-            }
-            // The pause ended late.
-            (false, false) => self.early,
-        };
-        if is_seen {
-            push(&mut self.times, (time / bytes as u32).as_nanos());
+        if !is_seen {
+            self.early = (self.early * STEP_GROWTH).max(FIRST_STEP);
+            return;
         }
-    }
-}
-
-impl Lateness {
-    /// Records how late the driver woke from a pause, if there was one.
-    fn end_pause(&mut self, until: Option<Instant>, now: Instant) {
-        let Some(until) = until else { return };
-        let late = now.saturating_duration_since(until).checked_sub(TIMER_DELAY);
-        // A little earlier still: a pause that ends exactly with the scan would hide how late
-        // either was.
-        let late = late.map_or(Duration::ZERO, |late| late + TIMER_DELAY / 10);
-        push(&mut self.latest, late.as_micros());
-        self.unpaused = 0;
-    }
-
-    /// Counts a scan. Late timers must not end all pauses, which alone show how late they are.
-    fn end_scan(&mut self) {
-        self.unpaused += 1;
-        if self.unpaused > TRIED_AGAIN {
-            self.latest = self.latest.map(|late| late / 2);
-            self.unpaused = 0;
+        // Slowly: on some lines every third or fourth scan is faster.
+        self.early = self.early * 3 / 4;
+        self.times.rotate_right(1);
+        if let Some(newest) = self.times.first_mut() {
+            *newest = u32::try_from((time / bytes as u32).as_nanos()).unwrap_or(u32::MAX);
         }
-    }
-
-    /// Median, so that one late timer changes nothing.
-    fn median(&self) -> Duration {
-        let [first, second, third] = self.latest;
-        Duration::from_micros(first.max(second).min(first.min(second).max(third)).into())
-    }
-}
-
-/// Inserts the newest value in place of the oldest.
-fn push(latest: &mut [u32], value: u128) {
-    latest.rotate_right(1);
-    if let Some(newest) = latest.first_mut() {
-        *newest = u32::try_from(value).unwrap_or(u32::MAX);
     }
 }
 
@@ -329,12 +269,12 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn pauses_return_after_timers_were_late() {
         let mut pauses = measured().await;
-        for _ in 0..MEASURED_FIRST {
+        for _ in 0..5 {
             delay(&mut pauses, 2 * REST_TIME).await;
         }
         pauses.begin_reply();
         assert_eq!(next(&mut pauses, REST), None, "timers may be late again");
-        for _ in 0..=2 * TRIED_AGAIN {
+        for _ in 0..8 {
             delay(&mut pauses, Duration::ZERO).await;
         }
         pauses.begin_reply();
