@@ -5,7 +5,7 @@ use std::io;
 use std::task::Poll;
 
 use super::super::failure::LinkError;
-use super::budget::{poll_read, promptly, try_read};
+use super::budget::{poll_read, try_read};
 use super::{READ_BUFFER_BYTES, Transport};
 use crate::port::Port;
 
@@ -26,11 +26,9 @@ impl Transport {
         tokio::task::yield_now().await;
         let dropped = poll_fn(|cx| {
             Poll::Ready(self.drop_bytes(|port, mut bytes| {
-                try_read(port, bytes).or_else(|| {
-                    match promptly(cx, |cx| poll_read(port, cx, &mut bytes)) {
-                        Poll::Ready(outcome) => Some(outcome),
-                        Poll::Pending => Some(Err(io::ErrorKind::WouldBlock.into())),
-                    }
+                try_read(port, bytes).or_else(|| match poll_read(port, cx, &mut bytes) {
+                    Poll::Ready(outcome) => Some(outcome),
+                    Poll::Pending => Some(Err(io::ErrorKind::WouldBlock.into())),
                 })
             }))
         });

@@ -10,7 +10,6 @@ use tokio::time::Instant;
 
 use super::super::failure::LinkError;
 use super::Transport;
-use super::budget::promptly;
 use super::pause::Pauses;
 use crate::port::PortHints;
 use crate::protocol::Text;
@@ -94,7 +93,7 @@ impl Transport {
 
     /// Waits for bytes while no command is outstanding. They are [pending](Self::pending) then.
     pub(crate) fn poll_idle(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), LinkError>> {
-        Poll::Ready(match ready!(promptly(cx, |cx| self.poll_read(cx))) {
+        Poll::Ready(match ready!(self.poll_read(cx)) {
             Ok(0) => Err(self.lost(None)),
             Ok(_) => Ok(()),
             Err(error) => Err(self.lost(Some(error))),

@@ -26,7 +26,7 @@ use tokio::io::AsyncWrite;
 use tokio::task::coop::consume_budget;
 use tokio::time::Instant;
 
-use self::budget::{poll_read, promptly};
+use self::budget::poll_read;
 use self::greeting::Greeting;
 use self::pause::Pauses;
 use self::received::Beginning;
@@ -164,10 +164,8 @@ impl Transport {
         self.begin_exchange(command, expected, within);
         self.begin_frame()?;
         let frame = poll_fn(|cx| {
-            promptly(cx, |cx| {
-                ready!(self.poll_write(cx))?;
-                self.poll_frame(cx)
-            })
+            ready!(self.poll_write(cx))?;
+            self.poll_frame(cx)
         })
         .await?;
         Ok(self.end_frame(frame))
@@ -187,7 +185,7 @@ impl Transport {
     ) -> Result<(), NoFrame> {
         consume_budget().await;
         self.begin_exchange(command, expected, within);
-        poll_fn(|cx| promptly(cx, |cx| self.poll_write(cx))).await
+        poll_fn(|cx| self.poll_write(cx)).await
     }
 
     /// Receives the next frame after a command; no other function receives frames. A frame
@@ -198,7 +196,7 @@ impl Transport {
     /// [`NoFrame::Late`] at the deadline.
     pub(crate) async fn next_frame(&mut self) -> Result<ReceivedFrame<'_>, NoFrame> {
         self.begin_frame()?;
-        let frame = poll_fn(|cx| promptly(cx, |cx| self.poll_frame(cx))).await?;
+        let frame = poll_fn(|cx| self.poll_frame(cx)).await?;
         Ok(self.end_frame(frame))
     }
 
@@ -224,7 +222,7 @@ impl Transport {
         &mut self,
         cx: &mut Context<'_>,
     ) -> Poll<Result<ReceivedFrame<'_>, NoFrame>> {
-        let frame = ready!(promptly(cx, |cx| self.poll_frame(cx)))?;
+        let frame = ready!(self.poll_frame(cx))?;
         Poll::Ready(Ok(self.end_frame(frame)))
     }
 
