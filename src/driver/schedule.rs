@@ -33,9 +33,8 @@ pub(crate) struct Schedules {
 /// One window at one rate, for all streams that want it.
 #[derive(Debug)]
 struct Schedule {
-    /// In the steps of the sensor that was last found.
-    window: Window,
-    rate: Rate,
+    /// Its window is in the steps of the sensor that was last found.
+    stats: ScheduleStats,
     /// True unless this sensor cannot measure the window.
     is_measured: bool,
     ring: Arc<Ring>,
@@ -129,7 +128,7 @@ impl Schedules {
         let skipped = self.all.iter().filter_map(|schedule| schedule.skipped(revolution)).min()?;
         // The slow ones can take their scans from it, too.
         let measured = self.all.iter().filter(|schedule| schedule.is_measured);
-        let window = measured.map(|schedule| schedule.window);
+        let window = measured.map(|schedule| schedule.stats.window);
         Some(StreamWish { window: window.reduce(|one, other| one.hull(&other))?, skipped })
     }
 
@@ -157,7 +156,7 @@ impl Schedules {
                 schedule.advance(now);
             }
             // No motor turns exactly with the grid, so a stream at the rate of the scans gets each of them.
-            let asked = schedule.rate.period();
+            let asked = schedule.stats.rate.period();
             let gets_each = asked.is_none_or(|asked| asked <= period + period / 100);
             (is_due || gets_each).then(|| schedule.poll())
         });
@@ -238,7 +237,7 @@ impl Schedules {
     /// Pauses polling: all rates are zero until [`resume`](Self::resume).
     pub(crate) fn pause(&mut self) {
         for schedule in &mut self.all {
-            schedule.speed.clear();
+            schedule.stats = unmeasured(schedule.stats.window, schedule.stats.rate);
             self.changed = true;
         }
     }
@@ -246,14 +245,14 @@ impl Schedules {
     /// Publishes the statistics if they have changed.
     pub(crate) fn publish(&mut self, counters: &Counters) {
         if std::mem::take(&mut self.changed) {
-            let rings = self.all.iter().map(|one| (one.stats(), Arc::downgrade(&one.ring)));
+            let rings = self.all.iter().map(|one| (one.stats, Arc::downgrade(&one.ring)));
             counters.set_schedules(rings);
         }
     }
 
     /// Requested and achieved rate of a schedule.
     pub(crate) fn stats(&mut self, poll: DuePoll) -> Option<ScheduleStats> {
-        find(&mut self.all, poll.window, poll.rate).map(|schedule| schedule.stats())
+        find(&mut self.all, poll.window, poll.rate).map(|schedule| schedule.stats)
     }
 
     /// Number of scans overwritten before a consumer read them, as of each schedule's
@@ -283,31 +282,36 @@ impl Schedules {
     }
 }
 
+/// Statistics of a schedule before the first span.
+fn unmeasured(window: Window, rate: Rate) -> ScheduleStats {
+    ScheduleStats { window, rate, reached: None, failed: 0, shortfall: None, baud_rate: None }
+}
+
 #[inline(never)]
 fn find(all: &mut [Schedule], window: Window, rate: Rate) -> Option<&mut Schedule> {
-    all.iter_mut().find(|schedule| schedule.rate == rate && schedule.window.is_same_wish(&window))
+    all.iter_mut()
+        .find(|schedule| schedule.stats.rate == rate && schedule.stats.window.is_same_wish(&window))
 }
 
 impl Schedule {
     fn new(window: Window, rate: Rate) -> Self {
         let now = Instant::now();
         Self {
-            window,
-            rate,
+            stats: unmeasured(window, rate),
             is_measured: true,
             ring: Ring::new(),
             due: now,
             missed: 0,
             is_streamed: false,
             condition: None,
-            speed: RateMeter::new(rate, now),
+            speed: RateMeter::new(now),
         }
     }
 
     /// Number of scans that a stream may leave out after each one, and still serve this schedule.
     /// `None` if it is too slow for a stream, or cannot be served at all.
     fn skipped(&self, revolution: Duration) -> Option<u8> {
-        let period = self.rate.period().unwrap_or_default();
+        let period = self.stats.rate.period().unwrap_or_default();
         // To within a twentieth, so that no rounding halves the rate.
         let turns = (period + revolution / 20).as_nanos() / revolution.as_nanos().max(1);
         let skipped = u8::try_from(turns).ok()?.saturating_sub(1);
@@ -315,22 +319,22 @@ impl Schedule {
     }
 
     fn poll(&self) -> DuePoll {
-        let Self { window, rate, is_measured, .. } = *self;
-        DuePoll { window, rate, is_measured }
+        let ScheduleStats { window, rate, .. } = self.stats;
+        DuePoll { window, rate, is_measured: self.is_measured }
     }
 
     /// Advances to the first grid point after `now`, so that a late poll delays at most
     /// one other. Returns the number of grid points skipped.
     fn advance(&mut self, now: Instant) -> u64 {
         let skipped = self.catch_up(now);
-        self.due += self.rate.period().unwrap_or_default();
+        self.due += self.stats.rate.period().unwrap_or_default();
         skipped
     }
 
     /// Advances to the last grid point that is due, if any. Returns the number of grid
     /// points skipped.
     fn catch_up(&mut self, now: Instant) -> u64 {
-        let Some(period) = self.rate.period() else {
+        let Some(period) = self.stats.rate.period() else {
             self.due = self.due.max(now);
             return 0;
         };
@@ -346,9 +350,9 @@ impl Schedule {
     }
 
     fn resolve(&mut self, geometry: &Geometry) {
-        let resolved = self.window.resolve(geometry);
+        let resolved = self.stats.window.resolve(geometry);
         self.is_measured = resolved.is_ok();
-        self.window = resolved.unwrap_or(self.window);
+        self.stats.window = resolved.unwrap_or(self.stats.window);
     }
 
     /// Ends a poll, and returns true if the rate falls short and that is news. At [`Rate::UNLIMITED`]
@@ -360,12 +364,12 @@ impl Schedule {
         baud_rate: Option<BaudRate>,
         changed: &mut bool,
     ) -> bool {
-        if self.rate.period().is_none() {
+        if self.stats.rate.period().is_none() {
             self.due = due;
         }
-        let span = self.speed.finish_span(now, self.window, baud_rate);
-        *changed |= span.is_some();
-        span.is_some_and(|span| self.speed.is_news(span))
+        let is_over = self.speed.finish_span(now, baud_rate, &mut self.stats);
+        *changed |= is_over;
+        is_over && self.speed.is_news(self.stats.shortfall)
     }
 
     /// Number of scans that readers missed since the last call.
@@ -380,18 +384,6 @@ impl Schedule {
         let kind = discriminant(error.kind());
         if self.condition.replace(kind) != Some(kind) {
             self.ring.report(error.clone());
-        }
-    }
-
-    fn stats(&self) -> ScheduleStats {
-        let span = self.speed.span();
-        ScheduleStats {
-            window: self.window,
-            rate: self.rate,
-            reached: span.map(|span| span.reached),
-            failed: span.map_or(0, |span| span.failed),
-            shortfall: span.and_then(|span| span.shortfall),
-            baud_rate: span.and_then(|span| span.baud_rate),
         }
     }
 }
