@@ -60,14 +60,4 @@ mod tests {
         }
         assert!(longest_first > ms(105), "the random part is small: {longest_first:?}");
     }
-
-    #[test]
-    fn only_a_link_that_outlasts_the_next_wait_starts_over() {
-        let mut backoff = Backoff::new((ms(100), ms(1000)));
-        backoff.next();
-        backoff.restart_if_outlasted(ms(200));
-        assert!(backoff.next() >= ms(200));
-        backoff.restart_if_outlasted(ms(401));
-        assert!(backoff.next() < ms(200));
-    }
 }

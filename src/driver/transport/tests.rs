@@ -171,30 +171,6 @@ async fn a_missing_reply_times_out() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn frames_that_are_expected_are_no_flood() {
-    const LONG: Limits = Limits { frame: 8192, frames: 1, bytes: 16_384 };
-    let (near, mut far) = tokio::io::duplex(4096);
-    let mut transport = on(StreamPort(near));
-    let frame = [b'x'; 6715];
-    let send = async {
-        for _ in 0..100 {
-            far.write_all(&[&frame[..], b"\n\n"].concat()).await.unwrap();
-        }
-    };
-    let receive = async {
-        let expected = Expected { reply: None, limits: &LONG };
-        transport.send(b"ME", &expected, LIMIT).await.unwrap();
-        for _ in 0..100 {
-            let received = transport.next_frame().await.unwrap();
-            assert_eq!(received.frame(), Frame::Reply(&frame[..]));
-            drop(received);
-            transport.expect(&expected, Instant::now() + LIMIT);
-        }
-    };
-    tokio::join!(send, receive);
-}
-
-#[tokio::test(start_paused = true)]
 async fn a_nul_in_front_begins_no_reply() {
     let (near, mut far) = tokio::io::duplex(64);
     let mut transport = on(StreamPort(near));
