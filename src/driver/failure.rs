@@ -30,6 +30,11 @@ impl ExchangeError {
             Self::Link(failure) => failure.kind(),
         }
     }
+
+    /// Returns true if the reply did not arrive, or was damaged.
+    pub(crate) fn is_lost_reply(&self) -> bool {
+        matches!(self, Self::Command(ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. }))
+    }
 }
 
 impl From<LinkError> for ExchangeError {

@@ -187,7 +187,7 @@ mod tests {
         let place = client.sender.clone().reserve_owned().await.unwrap();
         drop(driver);
         let (responder, answer) = oneshot::channel();
-        place.send(Box::new(Request::Version(responder)));
+        place.send(Box::new(Request::Link(responder)));
 
         let outcome = timeout(Duration::from_secs(60), client.wait_for(answer)).await;
         assert!(matches!(outcome.unwrap().unwrap_err().kind(), ErrorKind::Closed));

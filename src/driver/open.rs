@@ -42,7 +42,6 @@ pub(crate) struct Opener {
     /// Serial number of the sensor that was last found.
     serial_number: Option<Text>,
     leftovers: Leftovers,
-    opened: bool,
     /// What the sensor measures, once that is confirmed.
     geometry: Option<Geometry>,
 }
@@ -63,7 +62,6 @@ impl Opener {
             serial_number: None,
             identity: config.serial_number.clone().or(asked),
             leftovers: Leftovers::unknown(),
-            opened: false,
             geometry: None,
             connect,
             config,
@@ -169,9 +167,7 @@ impl Opener {
             session.find(&self.baud_rates(), end).await?;
             match self.identify(session).await {
                 // It answered a moment ago: no back-off is needed.
-                Err(ExchangeError::Command(error)) if !was_found && is_lost_reply(&error) => {
-                    was_found = true;
-                }
+                Err(failure) if !was_found && failure.is_lost_reply() => was_found = true,
                 outcome => break outcome?,
             }
         };
@@ -203,7 +199,6 @@ impl Opener {
         if let Some(hints) = self.connect.hints() {
             hints.found();
         }
-        self.opened = true;
     }
 
     /// Lists all six baud rates, likeliest first.
@@ -236,7 +231,7 @@ impl Opener {
         {
             match session.set_baud_rate(baud_rate).await {
                 // Scans at another baud rate are better than no scans.
-                Err(ExchangeError::Command(error)) if self.opened => {
+                Err(ExchangeError::Command(error)) if self.serial_number.is_some() => {
                     let error = ErrorChain(&error);
                     if !std::mem::replace(&mut self.is_reported, true) {
                         tracing::warn!(%error, "the baud rate is not restored");
@@ -257,9 +252,4 @@ impl Opener {
 fn fail(error: ErrorKind) -> LinkError {
     tracing::trace!(error = %ErrorChain(&error), "opening failed");
     LinkError::Lost(error)
-}
-
-/// Returns true if a reply did not arrive, or was damaged.
-fn is_lost_reply(error: &ErrorKind) -> bool {
-    matches!(error, ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. })
 }

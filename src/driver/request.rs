@@ -8,11 +8,10 @@ use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
 use tokio::time::{Instant, sleep_until};
 
-use crate::protocol::Version;
 use crate::protocol::scip2::State;
 use crate::ring::Cursor;
 use crate::state::LinkState;
-use crate::{BaudRate, ErrorKind, Geometry, Rate, Scan, Window};
+use crate::{BaudRate, ErrorKind, Rate, Scan, Window};
 
 /// Sender for the answer to a request.
 pub(crate) type Responder<T> = oneshot::Sender<Result<T, ErrorKind>>;
@@ -20,8 +19,8 @@ pub(crate) type Responder<T> = oneshot::Sender<Result<T, ErrorKind>>;
 /// Request from a handle.
 #[derive(Debug)]
 pub(crate) enum Request {
-    Version(Responder<Version>),
-    Geometry(Responder<Geometry>),
+    /// Waits for a link.
+    Link(Responder<()>),
     State(Responder<Option<State>>),
     Laser {
         on: bool,
@@ -50,10 +49,9 @@ impl Request {
     /// Returns true if no caller waits for the answer any more.
     fn is_abandoned(&self) -> bool {
         match self {
-            Self::Version(responder) => responder.is_closed(),
-            Self::Geometry(responder) => responder.is_closed(),
             Self::State(responder) => responder.is_closed(),
-            Self::Laser { responder, .. }
+            Self::Link(responder)
+            | Self::Laser { responder, .. }
             | Self::BaudRate { responder, .. }
             | Self::Close(responder) => responder.is_closed(),
             Self::Scan { responder, .. } => responder.is_closed(),
@@ -65,10 +63,9 @@ impl Request {
     fn fail(self, error: ErrorKind) {
         // Drops the answer if no caller waits for it.
         match self {
-            Self::Version(responder) => drop(responder.send(Err(error))),
-            Self::Geometry(responder) => drop(responder.send(Err(error))),
             Self::State(responder) => drop(responder.send(Err(error))),
-            Self::Laser { responder, .. }
+            Self::Link(responder)
+            | Self::Laser { responder, .. }
             | Self::BaudRate { responder, .. }
             | Self::Close(responder) => drop(responder.send(Err(error))),
             Self::Scan { responder, .. } => drop(responder.send(Err(error))),
@@ -99,13 +96,6 @@ struct WaitingRequest {
 
 /// Smallest number of waiting requests that is worth checking for abandoned ones.
 const PURGE_FROM: usize = 64;
-
-/// Request that can be answered without a link.
-#[derive(Debug)]
-pub(crate) enum Unlinked {
-    Subscribe { window: Window, rate: Rate, depth: usize, responder: Responder<Cursor> },
-    Close(Responder<()>),
-}
 
 /// All handles and streams are gone.
 #[derive(Debug)]
@@ -181,21 +171,13 @@ impl RequestQueue {
         Poll::Ready(Ok(()))
     }
 
-    /// While there is no link: returns the next request that needs none. The others wait until
-    /// they expire with the reason why there is no link. Cancel-safe.
-    pub(crate) async fn next_unlinked(&mut self, link: &LinkState) -> Result<Unlinked, Abandoned> {
+    /// While there is no link: returns the next request. Those that [wait](Self::wait) expire with the
+    /// reason why there is no link. Cancel-safe.
+    pub(crate) async fn next_unlinked(&mut self, link: &LinkState) -> Result<Request, Abandoned> {
         loop {
             if let Some(request) = self.next.take().filter(|request| !request.is_abandoned()) {
                 self.desired.record(&request);
-                match *request {
-                    Request::Subscribe { window, rate, depth, responder } => {
-                        return Ok(Unlinked::Subscribe { window, rate, depth, responder });
-                    }
-                    Request::Close(responder) => return Ok(Unlinked::Close(responder)),
-                    // Nothing is polled.
-                    Request::StreamDropped => {}
-                    request => self.wait(request),
-                }
+                return Ok(*request);
             }
             self.expire(link);
             let first = self.waiting.front().map(|waiting| waiting.expires);
@@ -208,7 +190,7 @@ impl RequestQueue {
     }
 
     /// Queues a request until there is a link.
-    fn wait(&mut self, request: Request) {
+    pub(crate) fn wait(&mut self, request: Request) {
         let expires = Instant::now() + self.timeout;
         self.waiting.push_back(WaitingRequest { request: Box::new(request), expires });
         if self.waiting.len() >= self.purge_at {
@@ -254,13 +236,11 @@ mod tests {
         let ready = poll_fn(|cx| queue.poll_ready(cx)).now_or_never();
         assert!(ready.is_none(), "no request was sent");
         let (responder, _answer) = oneshot::channel();
-        assert!(sender.send(Box::new(Request::Version(responder))).await.is_ok());
-        assert!(
-            queue.next_unlinked(&LinkState::new(None)).now_or_never().is_none(),
-            "it needs a link"
-        );
+        assert!(sender.send(Box::new(Request::Link(responder))).await.is_ok());
+        let request = queue.next_unlinked(&LinkState::new(None)).await.unwrap();
+        queue.wait(request);
         assert!(matches!(poll_fn(|cx| queue.poll_ready(cx)).now_or_never(), Some(Ok(()))));
-        assert!(matches!(queue.pop().unwrap().as_deref(), Some(Request::Version(_))));
+        assert!(matches!(queue.pop().unwrap().as_deref(), Some(Request::Link(_))));
     }
 
     #[tokio::test(start_paused = true)]
@@ -270,11 +250,9 @@ mod tests {
         let mut answers = Vec::new();
         for number in 0..10_000 {
             let (responder, answer) = oneshot::channel();
-            assert!(sender.send(Box::new(Request::Version(responder))).await.is_ok());
-            assert!(
-                queue.next_unlinked(&LinkState::new(None)).now_or_never().is_none(),
-                "it waits for a link"
-            );
+            assert!(sender.send(Box::new(Request::Link(responder))).await.is_ok());
+            let request = queue.next_unlinked(&LinkState::new(None)).await.unwrap();
+            queue.wait(request);
             // One in a hundred is kept. The others are abandoned while they wait.
             answers.extend((number % 100 == 0).then_some(answer));
             assert!(queue.waiting.len() < 2 * answers.len() + PURGE_FROM, "{number}");

@@ -17,7 +17,7 @@ use super::failure::LinkError;
 use super::motor_clock::MotorClock;
 use super::open::Opener;
 use super::ray_order::RayOrder;
-use super::request::{RequestQueue, Unlinked};
+use super::request::{Request, RequestQueue};
 use super::schedule::Schedules;
 use super::serve::{Service, Stop};
 use super::session::Session;
@@ -28,11 +28,9 @@ use crate::{Error, ErrorChain, ErrorKind, Operation};
 
 /// Runs the whole driver: opens a session, serves it, and replaces it when it is lost.
 pub(crate) struct Supervisor {
-    /// Declared, and so dropped, before the queue: a caller whose request is dropped finds
-    /// the cause, even if the driver never ran.
-    _final_state: FinalState,
-    opener: Opener,
+    /// Dropped first, so that a caller finds the cause even if the driver never ran.
     offline: OfflineQueue,
+    opener: Opener,
     backoff: Backoff,
     config: Config,
     shared: Arc<Shared>,
@@ -55,14 +53,7 @@ impl Supervisor {
         let opener = Opener::new(connect, config.clone(), Arc::clone(&shared));
         let schedules = Schedules::default();
         let offline = OfflineQueue { queue, schedules, shared: Arc::clone(&shared) };
-        Self {
-            _final_state: FinalState(Arc::clone(&shared)),
-            opener,
-            offline,
-            backoff: Backoff::new(config.backoff),
-            config,
-            shared,
-        }
+        Self { offline, opener, backoff: Backoff::new(config.backoff), config, shared }
     }
 
     /// Runs until the driver is closed or abandoned, or the link is lost permanently.
@@ -266,14 +257,16 @@ impl OfflineQueue {
             tokio::select! {
                 biased;
                 done = &mut work => return Ok(done),
-                request = self.queue.next_unlinked(&self.shared.link) => match request {
-                    Ok(Unlinked::Subscribe { window, rate, depth, responder }) => {
+                request = self.queue.next_unlinked(&self.shared.link) => match request? {
+                    Request::Subscribe { window, rate, depth, responder } => {
                         let stream = self.schedules.subscribe(window, rate, depth, trouble, None);
                         // Drops the stream if no caller waits for it.
                         let _ = responder.send(Ok(stream));
                     }
-                    Ok(Unlinked::Close(responder)) => return Err(Stop::Closed(responder)),
-                    Err(_) => return Err(Stop::Abandoned),
+                    Request::Close(responder) => return Err(Stop::Closed(responder)),
+                    // Nothing is polled.
+                    Request::StreamDropped => {}
+                    request => self.queue.wait(request),
                 }
             }
         }
@@ -281,24 +274,15 @@ impl OfflineQueue {
 }
 
 impl Drop for OfflineQueue {
-    /// Ends all streams with the cause when the driver is dropped. Requests need no such
-    /// end: a caller whose request is dropped looks up the cause itself.
+    /// Enters the final state, and ends all streams with the cause, when the driver is dropped.
+    /// Requests need no such end: a caller whose request is dropped looks up the cause itself.
     fn drop(&mut self) {
+        if !self.shared.link.is_closed() {
+            self.shared.enter(State::Closed { error: None });
+        }
         self.pause();
         let cause = self.shared.link.cause();
         self.schedules.end(Some(&cause));
-    }
-}
-
-/// Enters the final state when a driver is dropped, so that no caller waits for another
-/// state.
-struct FinalState(Arc<Shared>);
-
-impl Drop for FinalState {
-    fn drop(&mut self) {
-        if !self.0.link.is_closed() {
-            self.0.enter(State::Closed { error: None });
-        }
     }
 }
 

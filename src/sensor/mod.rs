@@ -9,7 +9,7 @@ use crate::driver::{Client, ReplyObservation, Request};
 use crate::port::Endpoint;
 use crate::protocol::scip2::{Parameters, State};
 use crate::protocol::{Command, Protocol, Version};
-use crate::state::{Freshness, StateWatch};
+use crate::state::{Freshness, LinkState, StateWatch};
 use crate::stats::Stats;
 use crate::stream::StreamBuilder;
 use crate::{BaudRate, Error, Geometry, Rate, Scan, Window};
@@ -76,19 +76,23 @@ impl Sensor {
     /// protocol text C-42-3320-A). Sends no command, so the `STAT:` line may be outdated. Waits for
     /// a link if there is none.
     pub async fn version(&self) -> Result<Version, Error> {
-        match self.client.shared().link.version() {
-            Some(version) => Ok(version),
-            None => self.client.ask(Request::Version).await,
-        }
+        self.known(LinkState::version).await
     }
 
     /// Directions and distances that the sensor measures, as it told them when the driver opened the
     /// link (`PP`; in SCIP 1.1 the bracket in the firmware line, and the protocol text for what that
     /// lacks). Waits for a link if there is none.
     pub async fn geometry(&self) -> Result<Geometry, Error> {
-        match self.client.shared().link.geometry() {
-            Some(geometry) => Ok(geometry),
-            None => self.client.ask(Request::Geometry).await,
+        self.known(LinkState::geometry).await
+    }
+
+    /// Returns what is known of the sensor while there is a link. Waits for one if there is none.
+    async fn known<T>(&self, known: impl Fn(&LinkState) -> Option<T>) -> Result<T, Error> {
+        loop {
+            if let Some(known) = known(&self.client.shared().link) {
+                return Ok(known);
+            }
+            self.client.ask(Request::Link).await?;
         }
     }
 

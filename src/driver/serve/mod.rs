@@ -178,17 +178,7 @@ impl Service<'_> {
 
     async fn answer(&mut self, session: &mut Session, request: Request) -> Result<(), Stop> {
         match request {
-            Request::Version(responder) => {
-                // The version was read when the sensor was found.
-                let known = self.shared.link.version().ok_or(ErrorKind::Closed);
-                let _ = responder.send(known);
-                Ok(())
-            }
-            Request::Geometry(responder) => {
-                let known = self.shared.link.geometry().ok_or(ErrorKind::Closed);
-                let _ = responder.send(known);
-                Ok(())
-            }
+            Request::Link(responder) => Self::respond(responder, Ok(())),
             Request::State(responder) => {
                 let outcome = Box::pin(session.state()).await;
                 Self::respond(responder, outcome)

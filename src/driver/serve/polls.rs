@@ -32,9 +32,8 @@ impl Service<'_> {
                 acquired = self.poll_again(session, window, failure).await;
             }
             match acquired {
-                Err(ExchangeError::Command(
-                    ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
-                )) if tries > 0 && !self.shared.is_closing() => {}
+                Err(failure)
+                    if failure.is_lost_reply() && tries > 0 && !self.shared.is_closing() => {}
                 Ok(acquired) => return Ok(self.scan_from(window, acquired)),
                 Err(failure) => return Err(failure),
             }
@@ -120,13 +119,13 @@ impl Service<'_> {
     }
 
     fn report(&mut self, poll: DuePoll, failure: ExchangeError) -> Result<Ended, LinkError> {
-        let kind = command_error(failure)?;
         let mut again = Instant::now();
         // A refusal comes at once, and a window that the sensor lacks is not even sent.
-        if !matches!(kind, ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. }) {
+        if !failure.is_lost_reply() {
             again += self.scan_time;
         }
-        Ok(self.schedules.fail(poll, &self.shared.link.error(kind), again))
+        let error = self.shared.link.error(command_error(failure)?);
+        Ok(self.schedules.fail(poll, &error, again))
     }
 
     /// Ends a poll that this sensor cannot answer.

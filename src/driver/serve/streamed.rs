@@ -33,11 +33,12 @@ impl Service<'_> {
             return Ok(None);
         }
         let Some(wish) = self.schedules.stream(self.scan_time) else { return Ok(None) };
-        if !session.can_stream(wish) {
+        let Some(mut streams) = session.streams() else { return Ok(None) };
+        if !streams.can_stream(wish) {
             return Ok(None);
         }
         self.schedules.begin_stream(self.scan_time);
-        let outcome = session.stream(wish).await;
+        let outcome = streams.stream(wish).await;
         // Of the schedules that are too slow for a stream. The others ask for it again: by `GD` they
         // could get a scan twice.
         let is_due = self.schedules.is_due();
@@ -90,14 +91,14 @@ impl Service<'_> {
         }
         self.deliver_waiting(session)?;
         self.schedules.drop_unread();
+        // Both would switch the laser on. The command that switches it off ends the stream.
+        let may_change = session.is_streaming() && self.queue.desired.laser != Some(false);
+        let Some(mut streams) = session.streams().filter(|_| may_change) else { return Ok(true) };
         let outcome = match self.schedules.stream(self.scan_time) {
-            // Both would switch the laser on. The command that switches it off ends the stream.
-            _ if self.queue.desired.laser == Some(false) => Ok(()),
-            _ if !session.is_streaming() => Ok(()),
-            None => session.end_stream().await,
+            None => streams.end_stream().await,
             Some(wish) if self.streamed < Some(wish.skipped) => {
                 self.streamed = Some(wish.skipped);
-                session.stream(wish).await
+                streams.stream(wish).await
             }
             Some(_) => Ok(()),
         };

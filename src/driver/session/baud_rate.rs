@@ -111,9 +111,7 @@ impl Session {
         let status = match self.send_baud_rate(baud_rate).await {
             Ok(status) => Some(status),
             // Without a reply, nothing tells whether the sensor has changed.
-            Err(ExchangeError::Command(
-                ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
-            )) => None,
+            Err(failure) if failure.is_lost_reply() => None,
             Err(error) => return Err(error),
         };
         let is_silent = status.is_none();

@@ -34,14 +34,13 @@ use tokio::time::Instant;
 
 use self::errors::{not_confirmed, on_behalf_of};
 use self::line::Line;
-use self::scip1::{Scip1, UniqueRequests};
+use self::scip1::{Answer, EchoKind, Scip1, UniqueRequests, Widened, accepted};
 use self::scip2::Scip2;
 use super::config::Wanted;
 use super::failure::{ExchangeError, LinkError};
 use super::motor_clock::Revolution;
 use super::observers::ReplyObservers;
 use super::rarely::rarely;
-use super::schedule::StreamWish;
 use super::transport::{ReplyTimes, Transport};
 use crate::port::Port;
 use crate::protocol::scip2::{State, Status};
@@ -179,25 +178,14 @@ impl Session {
         self.scip2.is_some()
     }
 
-    /// Returns true if the line carries the scans of this stream. A replay is polled: each poll takes
-    /// its next scan, whatever their rates are.
-    pub(crate) fn can_stream(&mut self, wish: StreamWish) -> bool {
+    /// Streams of the sensor, if the protocol has them.
+    pub(crate) fn streams(&mut self) -> Option<Scip2<'_>> {
         self.scip2()
-            .is_some_and(|scip2| !scip2.line.transport.is_replay() && scip2.can_stream(wish))
     }
 
     /// Returns true while the sensor does, or something that it sent is not yet taken.
     pub(crate) fn is_streaming(&self) -> bool {
         self.scip2.as_ref().is_some_and(|state| state.has_streamed())
-    }
-
-    /// Starts a stream that holds the window, unless one runs. Where a protocol has none, does
-    /// nothing.
-    pub(crate) async fn stream(&mut self, wish: StreamWish) -> Result<(), ExchangeError> {
-        match self.scip2() {
-            Some(mut scip2) => scip2.stream(wish).await,
-            None => Ok(()),
-        }
     }
 
     /// Takes the next scan of the stream, or an error in its place.
@@ -211,14 +199,6 @@ impl Session {
             && let Some(mut scip2) = self.scip2()
         {
             let _ = scip2.stop().await;
-        }
-    }
-
-    /// Ends the stream. The laser stays on.
-    pub(crate) async fn end_stream(&mut self) -> Result<(), ExchangeError> {
-        match self.scip2() {
-            Some(mut scip2) => scip2.end_stream().await,
-            None => Ok(()),
         }
     }
 
@@ -279,12 +259,15 @@ impl Session {
         if !scip1.is_quiet()? {
             scip1.settle().await.map_err(on_behalf_of(Command::Distances(window)))?;
         }
-        let request = match scip1.choose(window) {
-            Some(request) => request,
+        let Widened { asked, first, repeats } = match scip1.choose(window) {
+            Some(widened) => widened,
             None => rarely(|| scip1.choose_after_fence(window)).await?,
         };
-        let answer = scip1.exchange(request.command, request.echo).await;
-        answer.and_then(|answer| request.values(answer))
+        scip1.line.shared.counters.count_poll();
+        let echo = if repeats { EchoKind::Repeated } else { EchoKind::Unique };
+        let command = Command::Distances(asked);
+        let Answer { reply, times } = accepted(&command, scip1.exchange(command, echo).await?)?;
+        Ok(Acquired { values: reply.into_values().into(), first, told: None, times })
     }
 
     /// Returns when [`acquire`](Self::acquire) of this window needs no further command to rule out a

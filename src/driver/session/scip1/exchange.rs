@@ -10,13 +10,13 @@ use super::errors::refused;
 use super::{ANY_SCAN, LIMITS, Scip1};
 use crate::codec::{ExpectedReply, Frame};
 use crate::protocol::{Command, MalformedError, Protocol, Reply, ReplyError, Status};
-use crate::{BaudRate, ErrorKind, RawReply};
+use crate::{BaudRate, RawReply};
 
 /// Reply to a command.
 #[derive(Debug)]
 pub(in super::super) struct Answer {
-    pub(super) reply: Reply,
-    pub(super) times: ReplyTimes,
+    pub(in super::super) reply: Reply,
+    pub(in super::super) times: ReplyTimes,
 }
 
 /// Which other replies may still be on their way with the echo of a command.
@@ -48,9 +48,9 @@ impl Scip1 {
         command: Command,
     ) -> Result<Answer, ExchangeError> {
         match self.command(command).await {
-            Err(ExchangeError::Command(
-                ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
-            )) if !self.line.is_closing() => self.command(command).await,
+            Err(failure) if failure.is_lost_reply() && !self.line.is_closing() => {
+                self.command(command).await
+            }
             outcome => outcome,
         }
     }
@@ -150,7 +150,10 @@ impl Scip1 {
 }
 
 /// Returns the answer, or the error of `command` if the sensor refused it.
-pub(super) fn accepted(command: &Command, answer: Answer) -> Result<Answer, ExchangeError> {
+pub(in super::super) fn accepted(
+    command: &Command,
+    answer: Answer,
+) -> Result<Answer, ExchangeError> {
     let status = answer.reply.status;
     if status.is_ok_for(command) { Ok(answer) } else { Err(refusal(command, status)) }
 }
@@ -176,13 +179,9 @@ fn judge(
         Frame::Overlong { bytes } => return Err(MalformedError::Overlong { bytes }.into()),
     };
     let outcome = Reply::parse(command, bytes);
-    observers.pass(|| RawReply {
-        protocol: Protocol::Scip1,
-        command: outcome.as_ref().err().is_none_or(is_echoed).then_some(*command),
-        request: None,
-        bytes,
-        received_at: times.received,
-        stamp: times.stamp,
+    observers.pass(|| {
+        let is_answer = outcome.as_ref().err().is_none_or(is_echoed);
+        raw_reply(bytes, is_answer.then_some(*command), times)
     });
     if echo == EchoKind::Repeated
         && outcome.is_ok()
@@ -191,6 +190,15 @@ fn judge(
         check_beginning(command, times, baud_rate)?;
     }
     outcome
+}
+
+pub(super) fn raw_reply<'a>(
+    bytes: &'a [u8],
+    command: Option<Command>,
+    times: &ReplyTimes,
+) -> RawReply<'a> {
+    let ReplyTimes { received: received_at, stamp, .. } = *times;
+    RawReply { protocol: Protocol::Scip1, command, request: None, bytes, received_at, stamp }
 }
 
 /// Fails if the reply began before the command had left the wire.

@@ -11,10 +11,9 @@ use tokio::time::{Instant, sleep};
 use super::super::super::failure::{ExchangeError, LinkError};
 use super::super::super::transport::Transport;
 use super::super::errors::{malformed, no_reply, timeout};
-use super::exchange::expected;
+use super::exchange::{expected, raw_reply};
 use super::{FIRST_LIMITS, Scip1};
 use crate::ErrorKind;
-use crate::RawReply;
 use crate::codec::Frame;
 use crate::protocol::scip2::has_data;
 use crate::protocol::{Command, MalformedError, Protocol, Reply, ReplyError, Status};
@@ -77,16 +76,14 @@ impl Scip1 {
                 self.line.is_settled = true;
                 self.unique_requests.clear();
             }
-            Err(ExchangeError::Command(
-                error @ (ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. }),
-            )) => {
+            Err(failure) if failure.is_lost_reply() => {
                 self.line.shared.counters.stats().fence_timeouts += 1;
                 if self.line.transport.latest_at().is_none() {
                     // Another program may have left half a command. And only an LF tells an echo
                     // from a reply.
                     self.line.transport.interrupt();
                 }
-                tracing::trace!(%error, "no answer to a fence");
+                tracing::trace!(error = %failure.kind(), "no answer to a fence");
             }
             Err(_) => {}
         }
@@ -129,14 +126,7 @@ impl Scip1 {
             let received = self.line.transport.next_frame().await.map_err(late)?;
             let frame = received.frame();
             if let Frame::Reply(bytes) = frame {
-                self.line.observers.pass(|| RawReply {
-                    protocol: Protocol::Scip1,
-                    command: None,
-                    request: None,
-                    bytes,
-                    received_at: received.times.received,
-                    stamp: received.times.stamp,
-                });
+                self.line.observers.pass(|| raw_reply(bytes, None, &received.times));
             }
             let error = match judge(command, frame) {
                 Ok(_) if is_echoed(&sent, command, frame) => {

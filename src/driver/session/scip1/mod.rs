@@ -19,16 +19,14 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-pub(super) use self::exchange::EchoKind;
-use self::exchange::{Answer, accepted};
-pub(super) use self::unique_requests::UniqueRequests;
-use self::unique_requests::Widened;
+pub(super) use self::exchange::{Answer, EchoKind, accepted};
+pub(super) use self::unique_requests::{UniqueRequests, Widened};
 use super::super::failure::ExchangeError;
 use super::super::rarely::rarely;
 use super::super::transport::Limits;
 use super::errors::on_behalf_of;
 use super::line::Line;
-use super::{Acquired, scip2};
+use super::scip2;
 use crate::codec::MAX_FRAME;
 use crate::protocol::{Command, Status, Text, Version};
 use crate::state::{KnownFrame, VersionReply};
@@ -43,22 +41,6 @@ pub(super) const COPY_TIME: Duration = Duration::from_millis(20);
 
 /// Stands for all commands that are answered like a scan.
 const ANY_SCAN: Command = Command::Distances(Window::FULL);
-
-/// What to ask for to get the values of a window.
-pub(super) struct ScanRequest {
-    pub(super) command: Command,
-    pub(super) echo: EchoKind,
-    /// Index of the window's first value.
-    first: usize,
-}
-
-impl ScanRequest {
-    /// Returns the values of its answer.
-    pub(super) fn values(&self, answer: Answer) -> Result<Acquired, ExchangeError> {
-        let Answer { reply, times } = accepted(&self.command, answer)?;
-        Ok(Acquired { values: reply.into_values().into(), first: self.first, told: None, times })
-    }
-}
 
 /// Line to a sensor that speaks SCIP 1.1, as every sensor is asked at first.
 pub(super) struct Scip1 {
@@ -76,28 +58,18 @@ impl Scip1 {
 
     /// Chooses what to ask for to get the values of `window`. `None` if a copy of the latest reply
     /// would match the request.
-    pub(super) fn choose(&mut self, window: Window) -> Option<ScanRequest> {
+    pub(super) fn choose(&mut self, window: Window) -> Option<Widened> {
         let widened = self.unique_requests.widen(window);
-        (!widened.repeats || !self.may_be_copied()).then(|| self.count_poll(widened))
+        (!widened.repeats || !self.may_be_copied()).then_some(widened)
     }
 
     /// Chooses what to ask for after a fence, which no copy of an older reply can follow.
     pub(super) async fn choose_after_fence(
         &mut self,
         window: Window,
-    ) -> Result<ScanRequest, ExchangeError> {
+    ) -> Result<Widened, ExchangeError> {
         self.fence().await.map_err(on_behalf_of(Command::Distances(window)))?;
-        let widened = self.unique_requests.widen(window);
-        Ok(self.count_poll(widened))
-    }
-
-    fn count_poll(&self, widened: Widened) -> ScanRequest {
-        self.line.shared.counters.count_poll();
-        ScanRequest {
-            command: Command::Distances(widened.asked),
-            echo: if widened.repeats { EchoKind::Repeated } else { EchoKind::Unique },
-            first: widened.first,
-        }
+        Ok(self.unique_requests.widen(window))
     }
 
     /// Returns when [`acquire`](Self::acquire) of this window needs no fence to rule out a copy of

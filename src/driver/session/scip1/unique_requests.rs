@@ -8,12 +8,12 @@ const STEPS: u16 = 769;
 
 /// Window to request in place of another one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Widened {
-    pub(super) asked: Window,
+pub(in super::super) struct Widened {
+    pub(in super::super) asked: Window,
     /// Index of the window's first value. The values before it are extra.
-    pub(super) first: usize,
+    pub(in super::super) first: usize,
     /// True if the latest `G` asked for the same: the window has no room to differ.
-    pub(super) repeats: bool,
+    pub(in super::super) repeats: bool,
 }
 
 /// Recently requested windows.

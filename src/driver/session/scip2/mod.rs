@@ -95,7 +95,7 @@ impl State {
 }
 
 /// Line to a sensor that speaks SCIP 2.
-pub(super) struct Scip2<'a> {
+pub(crate) struct Scip2<'a> {
     pub(super) line: &'a mut Line,
     pub(super) state: &'a mut State,
 }
@@ -294,9 +294,7 @@ impl Scip2<'_> {
         let status = match self.ask_twice(command).await {
             Ok(answer) => Some(text(answer.status)),
             // The probe shows what the sensor did. It would end a stream, and switch the laser on.
-            Err(ExchangeError::Command(
-                ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
-            )) if !self.state.is_streaming() => None,
+            Err(failure) if failure.is_lost_reply() && !self.state.is_streaming() => None,
             Err(error) => return Err(error),
         };
         let request = Request::new(command, None);
@@ -327,14 +325,13 @@ impl Scip2<'_> {
     /// sensor accepts it.
     async fn ask_twice(&mut self, command: Command) -> Result<Answer, ExchangeError> {
         let latency = self.latency(&command);
-        let mut outcome = self.exchange(command, latency).await;
-        if let Err(ExchangeError::Command(ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. })) =
-            outcome
-            && !self.line.is_closing()
-        {
-            outcome = self.exchange(command, latency).await;
-        }
-        accepted(&command, outcome?)
+        let answer = match self.exchange(command, latency).await {
+            Err(failure) if failure.is_lost_reply() && !self.line.is_closing() => {
+                self.exchange(command, latency).await
+            }
+            outcome => outcome,
+        };
+        accepted(&command, answer?)
     }
 
     /// Error for a reply without the data that its command has.

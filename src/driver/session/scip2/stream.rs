@@ -49,8 +49,8 @@ pub(super) type Waiting = VecDeque<Result<Streamed, ErrorKind>>;
 
 impl Scip2<'_> {
     /// Returns true if the line carries the scans of a stream that holds this one, and the window of
-    /// the one that runs.
-    pub(in super::super) fn can_stream(&self, wish: StreamWish) -> bool {
+    /// the one that runs. A replay is polled: each poll takes its next scan, whatever their rates are.
+    pub(crate) fn can_stream(&mut self, wish: StreamWish) -> bool {
         let StreamWish { mut window, skipped } = wish;
         if let Some(running) = &self.state.running {
             window = running.window.hull(&window);
@@ -62,11 +62,11 @@ impl Scip2<'_> {
             .zip(Request::new(command, None).reply_len())
             .map_or(Duration::ZERO, |(rate, bytes)| rate.wire_time(bytes));
         let period = self.state.geometry.revolution() * (u32::from(skipped) + 1);
-        wire_time <= period * LARGEST_SHARE.0 / LARGEST_SHARE.1
+        wire_time <= period * LARGEST_SHARE.0 / LARGEST_SHARE.1 && !self.line.transport.is_replay()
     }
 
     /// Starts a stream that holds the window, unless such a one runs.
-    pub(in super::super) async fn stream(&mut self, wish: StreamWish) -> Result<(), ExchangeError> {
+    pub(crate) async fn stream(&mut self, wish: StreamWish) -> Result<(), ExchangeError> {
         let StreamWish { mut window, skipped } = wish;
         if let Some(running) = &self.state.running {
             if running.window.holds(&window) && running.skipped == skipped {
@@ -98,7 +98,7 @@ impl Scip2<'_> {
     }
 
     /// Ends the stream, if one runs. The laser stays on.
-    pub(in super::super) async fn end_stream(&mut self) -> Result<(), ExchangeError> {
+    pub(crate) async fn end_stream(&mut self) -> Result<(), ExchangeError> {
         self.stop().await?;
         let request = Request::new(Command::LaserOn, self.state.next_label());
         match self.ask(&request, self.latency(request.command())).await {
