@@ -73,8 +73,10 @@ def by_mcap(path):
 
 def with_new_fields(chunk, validate_crc=False):
     """Reads the records of a chunk as those of a file: mcap 1.6.0 skips new fields of a schema or a
-    channel only there."""
-    data = get_chunk_data_stream(chunk, validate_crc=validate_crc)[0].read(len(chunk.data))
+    channel only there. It decompresses no empty chunk of zstd."""
+    if chunk.uncompressed_size == 0:
+        return []
+    data = get_chunk_data_stream(chunk, validate_crc=validate_crc)[0].read(chunk.uncompressed_size)
     end = bytes([Opcode.FOOTER, 20]) + bytes(27) + MAGIC
     records = StreamReader(io.BytesIO(data + end), skip_magic=True).records
     return [record for record in records if not isinstance(record, Footer)]
