@@ -148,7 +148,8 @@ impl Inner {
         }
     }
 
-    /// Replaces the reader in this slot, and returns it. Removes scans that nobody wants any more.
+    /// Puts a reader into this slot and returns the one that was there. Drops the scans that are now
+    /// deeper than any reader.
     fn replace(&mut self, slot: usize, reader: Reader) -> Option<Reader> {
         let before = self.readers.get_mut(slot).map(|slot| mem::replace(slot, reader));
         self.depth = self.readers.iter().map(|reader| reader.depth).fold(1, usize::max);

@@ -1,5 +1,5 @@
-//! Other forms of a file that the format allows: those that other writers have, and those of a later
-//! version.
+//! Rewrites a file in another form that the format allows, as another writer or a later version of the
+//! format may write it.
 
 use super::file::{CHUNK_HEAD, split};
 use crate::common::random::Random;
