@@ -31,7 +31,7 @@ const SAME_LENGTH: usize = 8;
 /// After a scan that was complete before its pause ended, the next pause ends earlier, by at least the
 /// first of these and this many times as early as before.
 const FIRST_STEP: Duration = Duration::from_millis(1);
-const STEP_GROWTH: u32 = 4;
+const STEP_GROWTH: u32 = 10;
 /// Lateness of a tokio timer on an idle runtime: it counts whole milliseconds, and the
 /// current one has already begun.
 const TIMER_DELAY: Duration = Duration::from_millis(1);
@@ -269,7 +269,7 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn pauses_return_after_timers_were_late() {
         let mut pauses = measured().await;
-        for _ in 0..5 {
+        for _ in 0..MEASURED_FIRST {
             delay(&mut pauses, 2 * REST_TIME).await;
         }
         pauses.begin_reply();
