@@ -105,7 +105,8 @@ def check_lateness(scans):
     before, end = 0, None
     for arrived, first_ray, revolution in scans:
         lateness = arrived - first_ray - TURNED * revolution
-        is_postponed = end is None or abs(first_ray - end) < 2_000
+        # Its stamp rests on another reading of the two clocks.
+        is_postponed = end is None or abs(first_ray - end) < 100_000
         assert lateness < arrived - before, (lateness, arrived - before)
         assert lateness > -1_000 or is_postponed, (lateness, first_ray, end)
         before, end = arrived, first_ray + MEASURED * revolution
