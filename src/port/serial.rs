@@ -4,10 +4,11 @@
 use std::future::Future;
 use std::io;
 use std::pin::Pin;
+use std::sync::Arc;
 use std::task::{Context, Poll, ready};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::sync::oneshot;
+use tokio::sync::{Mutex, OwnedMutexGuard, oneshot};
 use tokio_serial::{ClearBuffer, DataBits, FlowControl, Parity, StopBits};
 #[cfg(not(unix))]
 use tokio_serial::{SerialPort as _, SerialStream as Tty};
@@ -31,8 +32,8 @@ pub(super) struct SerialPort {
     /// True for the sensor's own USB port, where the baud rate has no effect; false for an
     /// RS-232 adapter.
     is_usb_sensor: bool,
-    /// Tells its opener that it is closed. Dropped after `tty`.
-    closed: Option<oneshot::Sender<()>>,
+    /// Lock of its opener. Dropped after `tty`.
+    lock: Option<OwnedMutexGuard<()>>,
 }
 
 /// Change of the baud rate, which takes seconds if an adapter hangs.
@@ -44,7 +45,7 @@ struct Change {
 
 impl SerialPort {
     /// Opens a port at 19,200 baud, the baud rate of a sensor after power-up.
-    fn open_blocking(path: &str) -> Result<Self, Error> {
+    fn open_blocking(path: &str, lock: OwnedMutexGuard<()>) -> Result<Self, Error> {
         open_error::check_before_opening(path)?;
         #[cfg(any(target_os = "linux", target_os = "android"))]
         respect_locks();
@@ -59,7 +60,7 @@ impl SerialPort {
         let tty = Tty::open(&builder).map_err(|error| open_error::explain(path, error))?;
         check_baud_rate(&tty, baud_rate).map_err(|source| Error::open(path, source))?;
         let is_usb_sensor = list::is_usb_sensor(path);
-        Ok(Self { tty: Some(tty), change: None, baud_rate, is_usb_sensor, closed: None })
+        Ok(Self { tty: Some(tty), change: None, baud_rate, is_usb_sensor, lock: Some(lock) })
     }
 
     /// Returns the terminal, as soon as no thread has it.
@@ -120,11 +121,8 @@ fn set_baud_rate(tty: &mut Tty, from: BaudRate, to: BaudRate) -> io::Result<()> 
 /// and take the nearest one.
 fn check_baud_rate(tty: &Tty, baud_rate: BaudRate) -> io::Result<()> {
     let actual = tty.baud_rate()?;
-    if is_close(baud_rate, actual) { Ok(()) } else { Err(wrong_baud_rate(baud_rate, actual)) }
-}
-
-fn wrong_baud_rate(expected: BaudRate, actual: u32) -> io::Error {
-    io::Error::other(format!("expected {expected} baud, the port runs at {actual}"))
+    let wrong = || format!("expected {baud_rate} baud, the port runs at {actual}");
+    if is_close(baud_rate, actual) { Ok(()) } else { Err(io::Error::other(wrong())) }
 }
 
 /// Returns true if `actual` bits per second are within 2 % of `baud_rate`.
@@ -225,7 +223,7 @@ impl Drop for SerialPort {
         self.release();
         // A thread that changes the baud rate closes the port itself.
         if let Some(tty) = self.tty.take() {
-            thread::drop_on((tty, self.closed.take()));
+            thread::drop_on((tty, self.lock.take()));
         }
     }
 }
@@ -261,56 +259,30 @@ impl AsyncWrite for SerialPort {
 }
 
 /// Opens ports on a thread, one at a time.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct SerialOpener {
-    /// Ends when the latest call has, whose future may have been dropped.
-    latest: Option<oneshot::Receiver<()>>,
-    /// Ends when the latest port is closed.
-    closed: Option<oneshot::Receiver<()>>,
+    /// Locked by a call until its port is closed, even if its future was dropped.
+    pub(super) lock: Arc<Mutex<()>>,
 }
 
 impl SerialOpener {
     /// Returns true while an earlier call, whose future was dropped, is still running, and while its
     /// port is open.
-    pub(super) fn is_busy(&mut self) -> bool {
-        let calls = [&mut self.latest, &mut self.closed];
-        calls
-            .into_iter()
-            .flatten()
-            .any(|call| matches!(call.try_recv(), Err(oneshot::error::TryRecvError::Empty)))
+    pub(super) fn is_busy(&self) -> bool {
+        self.lock.try_lock().is_err()
     }
 
     /// Opens a port by its path (Unix) or name (Windows), on a thread of its own. If you drop the
-    /// future, the port is closed as soon as it is open, and is busy until then. Waits first for an
-    /// earlier call whose future was dropped: its port would be busy, and calls that hang in the
-    /// system would each keep a thread.
-    pub(super) async fn open(&mut self, path: &str) -> Result<SerialPort, Error> {
-        if let Some(earlier) = &mut self.latest {
-            // Without a result, its thread has panicked.
-            let _ = earlier.await;
-        }
-        let (sender, opened) = oneshot::channel();
+    /// future, the port is closed as soon as it is open, and is busy until then. Waits first until the
+    /// port of an earlier call is closed: it would be busy, and calls that hang in the system would
+    /// each keep a thread.
+    pub(super) async fn open(&self, path: &str) -> Result<SerialPort, Error> {
+        let lock = Arc::clone(&self.lock).lock_owned().await;
         let owned = path.to_owned();
-        // Without a receiver this drops the port, which closes it.
-        let open = move || drop(sender.send(SerialPort::open_blocking(&owned)));
-        self.latest = None;
-        self.latest = Some(thread::run_on(open).map_err(|source| Error::open(path, source))?);
-        let outcome = opened.await;
-        self.latest = None;
+        let opened = thread::run_on(move || SerialPort::open_blocking(&owned, lock));
+        let outcome = opened.map_err(|source| Error::open(path, source))?.await;
         let panicked = || io::Error::other("the thread that opens the port has panicked");
-        let mut port = outcome.unwrap_or_else(|_| Err(Error::open(path, panicked())))?;
-        let (sender, closed) = oneshot::channel();
-        (port.closed, self.closed) = (Some(sender), Some(closed));
-        Ok(port)
-    }
-}
-
-#[cfg(test)]
-impl SerialOpener {
-    /// Returns an opener whose call hangs until the sender is dropped.
-    pub(super) fn hanging() -> (oneshot::Sender<()>, Self) {
-        let (sender, call) = oneshot::channel();
-        (sender, Self { latest: Some(call), closed: None })
+        outcome.unwrap_or_else(|_| Err(Error::open(path, panicked())))
     }
 }
 
@@ -322,7 +294,8 @@ mod tests {
 
     #[tokio::test]
     async fn an_opener_waits_for_its_hanging_call() {
-        let (hang, mut opener) = SerialOpener::hanging();
+        let opener = SerialOpener::default();
+        let hang = Arc::clone(&opener.lock).lock_owned().await;
         assert!(opener.open("/dev/gone").now_or_never().is_none());
         assert!(opener.is_busy());
         drop(hang);
@@ -348,14 +321,13 @@ mod tests {
         let path = tokio_serial::SerialPort::name(&near).unwrap();
         // It is locked by its maker, and would stay so.
         drop(near);
-        let mut opener = SerialOpener::default();
+        let opener = SerialOpener::default();
         let mut port = opener.open(&path).await.unwrap();
         assert!(is_locked(&path));
         port.release();
         assert!(!is_locked(&path) && opener.is_busy());
         drop(port);
-        assert!(opener.closed.as_mut().unwrap().await.is_err());
-        assert!(!opener.is_busy());
+        drop(opener.lock.lock().await);
     }
 
     #[test]
@@ -371,7 +343,5 @@ mod tests {
         assert!(!is_close(BaudRate::B250000, 256_000));
         assert!(!is_close(BaudRate::B250000, 230_400));
         assert!(!is_close(BaudRate::B750000, 921_600));
-        let error = wrong_baud_rate(BaudRate::B250000, 256_000).to_string();
-        assert_eq!(error, "expected 250000 baud, the port runs at 256000");
     }
 }

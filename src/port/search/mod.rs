@@ -35,17 +35,12 @@ const OPEN_LIMIT: Duration = Duration::from_secs(2);
 pub(super) trait Ports: Send + 'static {
     type Port;
 
-    /// Lists the ports that the sensor can be on.
+    /// Lists the ports that the sensor can be on. Leaves out a port while a call hangs in the system:
+    /// to open it, whose future was dropped, or to close it.
     fn candidates(&mut self) -> impl Future<Output = Result<Vec<String>, Error>> + Send;
 
-    /// Opens a port. Fails at once while an earlier call for it hangs: to open it, whose future was
-    /// dropped, or to close it.
+    /// Opens a port of the latest list.
     fn open(&mut self, path: &str) -> impl Future<Output = Result<Self::Port, Error>> + Send;
-
-    /// Returns true if such a call has ended since the last time. Default: `false`, none hangs.
-    fn one_hangs_no_longer(&mut self) -> bool {
-        false
-    }
 }
 
 /// Search through the candidates, which opens one port per call.
@@ -62,6 +57,8 @@ pub(super) struct Search<P> {
 struct Pass {
     /// Ports that are not opened again.
     tried: Vec<String>,
+    /// True if opening a port took too long.
+    is_hung: bool,
     /// When to give up on busy ports. Kept here, so that a caller that drops its futures early
     /// does not wait for ever.
     busy_until: Option<Instant>,
@@ -75,13 +72,10 @@ impl<P: Ports> Search<P> {
         Self { serial_number, ports, listed: Vec::new(), pass: None }
     }
 
-    /// Returns when a port has appeared since the latest listing, or hangs no longer.
+    /// Returns when a port has appeared since the latest listing.
     async fn wait_for_port(&mut self) {
         loop {
             sleep(LISTING_INTERVAL).await;
-            if self.ports.one_hangs_no_longer() {
-                return;
-            }
             // `next_port` reports what prevents listing.
             let Ok(listed) = self.ports.candidates().await else { continue };
             let before = replace(&mut self.listed, listed);
@@ -95,13 +89,11 @@ impl<P: Ports> Search<P> {
     /// one that was being opened when the future was dropped.
     pub(super) async fn next_port(&mut self) -> Result<P::Port, Error> {
         loop {
-            if self.ports.one_hangs_no_longer() {
-                // The sensor on it may have been silent before.
-                self.pass = None;
-            }
             self.listed = self.ports.candidates().await?;
             let pass = self.pass.get_or_insert_default();
-            let mut is_busy = false;
+            // A port that was plugged in again, or hung, may now have the sensor.
+            pass.tried.retain(|path| self.listed.contains(path));
+            let mut is_busy = pass.is_hung;
             for path in &self.listed {
                 if pass.tried.contains(path) {
                     continue;
@@ -127,7 +119,7 @@ impl<P: Ports> Search<P> {
                         tracing::trace!(path, "port skipped, opening it takes too long");
                         // Its device may return.
                         pass.tried.pop();
-                        is_busy = true;
+                        (pass.is_hung, is_busy) = (true, true);
                     }
                 }
             }

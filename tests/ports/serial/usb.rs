@@ -12,6 +12,7 @@ use std::os::unix::fs::symlink;
 use std::path::Path;
 use std::process::Command;
 
+use futures::future::join_all;
 use tokio_scip::port::{Connect, Port, list};
 use tokio_scip::{BaudRate, Endpoint, ErrorKind, State};
 use urg_emulator::Pty;
@@ -130,6 +131,23 @@ async fn a_sensor_is_found_by_serial_number() {
     other.close().await;
     let error = builder().open("serial:H0000002").await.unwrap_err();
     assert!(matches!(error.kind(), ErrorKind::NoSuchSensor { .. }), "{error}");
+}
+
+#[tokio::test]
+async fn simultaneous_searches_each_find_a_sensor() {
+    if !is_inside("simultaneous_searches_each_find_a_sensor") {
+        return;
+    }
+    const COUNT: usize = 4;
+    for n in 0..COUNT {
+        plug_in(&format!("ttyACM{n}"), &format!("H000000{n}"));
+    }
+    for shift in 0..COUNT {
+        let open = |n| builder().open(format!("serial:H000000{}", (n + shift) % COUNT));
+        for found in join_all((0..COUNT).map(open)).await {
+            found.unwrap_or_else(|error| panic!("moved by {shift}: {error}")).close().await;
+        }
+    }
 }
 
 /// Waits until a port that was dropped is closed: on a busy machine the search takes it for a hanging one.
