@@ -42,7 +42,7 @@ impl Connect for Program {
         let (Some(from), Some(to)) = (child.stdout.take(), child.stdin.take()) else {
             return Err(ErrorKind::NoSuchPort { port: self.command.clone() }.into());
         };
-        Ok(StreamPort(join(from, to)))
+        Ok(StreamPort::new(join(from, to)))
     }
 
     fn name(&self) -> Option<&str> {

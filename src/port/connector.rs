@@ -5,7 +5,7 @@ use std::fmt;
 
 use super::{Connect, ConnectHints, Endpoint, Port};
 #[cfg(feature = "tcp")]
-use super::{TcpPort, endpoint::line_baud_rate, lookup::Lookup};
+use super::{StreamPort, endpoint::line_baud_rate, lookup::Lookup, tcp};
 #[cfg(feature = "serial")]
 use super::{
     search::{Search, SystemPorts},
@@ -98,9 +98,10 @@ impl Connect for EndpointConnector {
             Route::SerialNumber(search) => Ok(Box::new(search.next_port().await?)),
             #[cfg(feature = "tcp")]
             Route::Tcp { host, port, baud_rate, lookup } => {
-                let opened = TcpPort::connect(lookup, host, *port, *baud_rate).await;
-                let explain = |source| Error::open(self.name.as_str(), source);
-                Ok(Box::new(opened.map_err(explain)?))
+                let opened = tcp::connect(lookup, host, *port).await;
+                let stream = opened.map_err(|source| Error::open(self.name.as_str(), source))?;
+                let baud_rate = *baud_rate;
+                Ok(Box::new(StreamPort { stream, baud_rate, can_die_silently: true }))
             }
             #[cfg(not(all(feature = "serial", feature = "tcp")))]
             Route::Missing(reason) => {

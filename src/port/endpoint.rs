@@ -255,23 +255,3 @@ fn parse_query(query: &str) -> Result<BaudRate, &'static str> {
 fn is_number(text: &str) -> bool {
     !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
 }
-
-#[cfg(all(test, feature = "tcp"))]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_sensor_on_ethernet_has_no_baud_rate() {
-        for (address, expected) in [
-            ("192.168.0.10", None),
-            ("[::1]", None),
-            ("192.168.0.10:10940", None),
-            ("bridge:10940?baud=115200", Some(BaudRate::B115200)),
-            ("bridge:4001", Some(BaudRate::B19200)),
-        ] {
-            let parsed = parse_tcp(address);
-            let Ok(Endpoint::Tcp { port, baud_rate, .. }) = parsed else { panic!("{parsed:?}") };
-            assert_eq!(line_baud_rate(port, baud_rate), expected, "{address}");
-        }
-    }
-}

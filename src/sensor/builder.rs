@@ -256,7 +256,7 @@ impl SensorBuilder {
         let mut stream = Some(stream);
         let open_once = move || {
             let gone = || ErrorKind::disconnected(Some(io::ErrorKind::BrokenPipe.into()));
-            std::future::ready(stream.take().map(StreamPort).ok_or_else(|| gone().into()))
+            std::future::ready(stream.take().map(StreamPort::new).ok_or_else(|| gone().into()))
         };
         self.connect(open_once).await
     }

@@ -29,7 +29,7 @@ impl Connect for Endless {
         if self.hangs {
             std::future::pending::<()>().await;
         }
-        Ok(StreamPort(tokio::io::duplex(64).0))
+        Ok(StreamPort::new(tokio::io::duplex(64).0))
     }
 
     fn hints(&mut self) -> Option<&mut dyn ConnectHints> {

@@ -83,13 +83,13 @@ async fn the_version_is_read_from_both_kinds_of_firmware() {
 async fn a_silent_sensor_is_an_error_after_all_baud_rates() {
     let emulator = truthful().baud_rate(BaudRate::B19200).faults(Faults::none().every(Fault::Lost));
     let start = Instant::now();
-    let error = fails(&emulator.build()).await;
+    let error = builder().name("left").connect(emulator.build()).await.unwrap_err();
     assert!(
         matches!(error.kind(), ErrorKind::NoAnswer { baud_rate: None, searched: true, .. }),
         "{error:?}"
     );
     assert!(start.elapsed() >= Duration::from_secs(5) && start.elapsed() < ms(5600));
-    assert!(error.to_string().starts_with("the sensor does not answer at any baud rate"));
+    assert!(error.to_string().starts_with("left does not answer at any baud rate"));
 }
 
 #[tokio::test(start_paused = true)]
@@ -107,6 +107,8 @@ async fn bytes_that_are_no_reply_are_counted_in_the_error() {
     far.write_all(b"hello\n\n").await.unwrap();
     let error = builder().attach(near).await.unwrap_err();
     assert!(matches!(error.kind(), ErrorKind::NoAnswer { bytes: 7, .. }), "{error:?}");
+    assert!(error.to_string().starts_with("the sensor does not answer"), "{error}");
+    assert_eq!(error.sensor(), None, "a stream has no name");
 }
 
 #[tokio::test(start_paused = true)]
@@ -115,10 +117,12 @@ async fn w24_d05_d06_scip_2_is_recognised_at_once() {
         let emulator = truthful().build();
         emulator.set_mode(mode);
         let start = Instant::now();
-        let scip1 = builder().protocol(Protocol::Scip1);
+        let scip1 = builder().name("left").protocol(Protocol::Scip1);
         let error = scip1.connect(emulator.clone()).await.unwrap_err();
         assert!(matches!(error.kind(), ErrorKind::WrongProtocol { .. }), "{error:?}");
-        assert!(error.to_string().contains("you asked for SCIP 1.1"), "{error}");
+        let text = error.to_string();
+        assert!(text.starts_with("left speaks SCIP 2"), "{text}");
+        assert!(text.contains("you asked for SCIP 1.1"), "{text}");
         builder().connect(emulator).await.unwrap();
         assert!(start.elapsed() < ms(1000));
     }
@@ -131,8 +135,9 @@ async fn w22_a_loopback_is_distinguished_from_a_silent_sensor() {
         let (mut read, mut write) = tokio::io::split(&mut far);
         let _ = tokio::io::copy(&mut read, &mut write).await;
     });
-    let error = builder().attach(near).await.unwrap_err();
+    let error = builder().name("left").attach(near).await.unwrap_err();
     assert!(matches!(error.kind(), ErrorKind::Loopback), "{error:?}");
+    assert!(error.to_string().starts_with("left returns what is written to it"), "{error}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -243,7 +248,9 @@ async fn o04_a_port_in_use_is_reported_as_such() {
 #[tokio::test(start_paused = true)]
 async fn another_sensor_than_the_expected_one_is_refused() {
     let emulator = truthful().serial_number("H0000001").build();
-    let error = builder().serial_number("H0000002").connect(emulator.clone()).await.unwrap_err();
+    let other = builder().name("left").serial_number("H0000002");
+    let error = other.connect(emulator.clone()).await.unwrap_err();
+    assert!(error.to_string().starts_with("left has the wrong serial number"), "{error}");
     let ErrorKind::AnotherSensor { expected, found, .. } = error.kind() else {
         panic!("{error:?}")
     };
@@ -289,13 +296,14 @@ async fn o11_a_bridge_has_one_baud_rate_and_the_sensor_keeps_it() {
     let text = error.to_string();
     assert!(text.contains("the serial server (19200 in its address)"), "{text}");
 
-    let sensor = builder().connect(bridge(BaudRate::B57600)).await.unwrap();
+    let sensor = builder().name("left").connect(bridge(BaudRate::B57600)).await.unwrap();
     sensor.scan(Window::FULL).await.unwrap();
     let error = sensor.set_baud_rate(BaudRate::B115200).await.unwrap_err();
     assert!(
         matches!(error.kind(), ErrorKind::UnsupportedBaudRate { source: None, .. }),
         "{error:?}"
     );
+    assert!(error.to_string().starts_with("the port of left cannot be set to 115200 baud: its"));
     assert_eq!(emulator.baud_rate(), Some(BaudRate::B57600));
     sensor.scan(Window::FULL).await.unwrap();
 }
@@ -324,7 +332,7 @@ async fn zero_latency_makes_no_busy_loop() {
     let written = Arc::new(AtomicU64::new(0));
     let count = CountWrites(Arc::clone(&written));
     let (near, _silent) = duplex(1 << 20);
-    let port = Hooked { port: StreamPort(near), hooks: count };
+    let port = Hooked { port: StreamPort::new(near), hooks: count };
     let mut ports = Some(port).into_iter();
     let connect =
         move || Ok(ports.next().ok_or(ErrorKind::NoSuchPort { port: "it".to_owned() })?);

@@ -26,7 +26,7 @@ async fn pending_bytes_are_read_once_a_poll() {
     let reads = Arc::new(AtomicU64::new(0));
     let count = Arc::clone(&reads);
     let connect = ConnectFn(move || {
-        let port = StreamPort(InstantSensor::new());
+        let port = StreamPort::new(InstantSensor::new());
         Ok(Hooked { port, hooks: CountReads(Arc::clone(&count)) })
     });
     let sensor = builder().connect(connect).await.unwrap();

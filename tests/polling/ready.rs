@@ -31,7 +31,7 @@ async fn ready_replies_leave_other_tasks_their_turn() {
     let commands = Arc::new(AtomicU64::new(0));
     let counted = Arc::clone(&commands);
     let connect = move || {
-        let port = StreamPort(InstantSensor::new());
+        let port = StreamPort::new(InstantSensor::new());
         Ok(ReadyPort::new(Hooked { port, hooks: CountCommands(Arc::clone(&counted)) }))
     };
     let sensor = builder().reconnect(false).connect(ConnectFn(connect)).await.unwrap();

@@ -179,11 +179,11 @@ async fn a_boxed_port_keeps_its_hints() {
     hints.discard_output();
     assert!(is_discarded.load(Ordering::Relaxed));
 
-    let mut plain = StreamPort(tokio::io::empty());
+    let mut plain = StreamPort::new(tokio::io::empty());
     assert_eq!(plain.baud_rate(), None);
     let refused = set_baud_rate(&mut plain, BaudRate::B19200).await.unwrap_err();
     assert_eq!(refused.kind(), io::ErrorKind::Unsupported);
-    assert!(plain.hints().is_none());
+    assert!(!plain.hints().unwrap().can_die_silently());
 }
 
 /// A stream that has only bytes.
@@ -224,7 +224,7 @@ async fn a_closure_opens_ports_again_after_each_loss() {
 #[tokio::test]
 async fn a_stream_port_flushes_and_shuts_down_its_stream() {
     let (near, mut far) = tokio::io::duplex(64);
-    let mut port = StreamPort(tokio::io::BufStream::new(near));
+    let mut port = StreamPort::new(tokio::io::BufStream::new(near));
     let mut bytes = [0; 8];
     port.write_all(b"V\n").await.unwrap();
     assert!(far.read(&mut bytes).now_or_never().is_none(), "the stream holds it back");

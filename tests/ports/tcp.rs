@@ -56,12 +56,29 @@ async fn a_tcp_port_is_an_ordinary_stream() {
     let port = server.local_addr().unwrap().port();
     let mut port = connector(host, port).connect().await.unwrap();
     let (mut peer, _) = server.accept().await.unwrap();
+    assert_eq!(port.baud_rate(), Some(BaudRate::B19200));
     port.write_all(b"V\n").await.unwrap();
     port.flush().await.unwrap();
     port.shutdown().await.unwrap();
     let mut all = Vec::new();
     peer.read_to_end(&mut all).await.unwrap();
     assert_eq!(all, b"V\n");
+}
+
+/// At the TCP port of sensors, on an address that no other process has.
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn a_sensor_on_ethernet_has_no_baud_rate() {
+    let [_, a, b, c] = std::process::id().to_be_bytes();
+    let host = format!("127.{a}.{b}.{c}");
+    let _server = TcpListener::bind((host.as_str(), 10_940)).await.unwrap();
+    for (rest, expected) in
+        [("", None), (":10940", None), ("?baud=115200", Some(BaudRate::B115200))]
+    {
+        let endpoint = Endpoint::try_from(format!("tcp://{host}{rest}")).unwrap();
+        let port = endpoint.into_connector().connect().await.unwrap();
+        assert_eq!(port.baud_rate(), expected, "{rest}");
+    }
 }
 
 #[tokio::test]
@@ -142,9 +159,10 @@ async fn an_error_quotes_the_servers_words() {
         let server = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
         let address = format!("tcp://{}", server.local_addr().unwrap());
         let task = tokio::spawn(reject(server, text));
-        let error = Sensor::open(&address).await.unwrap_err();
+        let error = Sensor::builder().name("left").open(&address).await.unwrap_err();
         assert!(matches!(error.kind(), ErrorKind::Rejected { .. }), "{error:?}");
-        assert!(error.to_string().contains(quoted), "{error}");
+        let says = format!("left cannot be reached: its serial server says {quoted}");
+        assert!(error.to_string().starts_with(&says), "{error}");
         assert!(error.is_transient());
         task.abort();
     }

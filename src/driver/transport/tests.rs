@@ -137,7 +137,7 @@ async fn an_empty_budget_is_no_quiet_line() {
 #[tokio::test(start_paused = true)]
 async fn a_late_reply_is_seen_without_budget() {
     let (near, mut far) = tokio::io::duplex(64);
-    let mut transport = on(StreamPort(near));
+    let mut transport = on(StreamPort::new(near));
     transport.send(b"L0", &ANY, Duration::ZERO).await.unwrap();
     far.write_all(b"L0\n0\n\n").await.unwrap();
     use_up_budget().await;
@@ -173,7 +173,7 @@ async fn a_missing_reply_times_out() {
 #[tokio::test(start_paused = true)]
 async fn a_nul_in_front_begins_no_reply() {
     let (near, mut far) = tokio::io::duplex(64);
-    let mut transport = on(StreamPort(near));
+    let mut transport = on(StreamPort::new(near));
     let begin = Instant::now();
     let send = async {
         for piece in [&b"\0\0"[..], b"\0L0\n", b"0\n\n"] {
@@ -191,7 +191,7 @@ async fn a_nul_in_front_begins_no_reply() {
 #[tokio::test(start_paused = true)]
 async fn a_nul_behind_a_reply_begins_no_other() {
     let (near, mut far) = tokio::io::duplex(64);
-    let mut transport = on(StreamPort(near));
+    let mut transport = on(StreamPort::new(near));
     let begin = Instant::now();
     let send = async {
         for piece in [&b"MD\n00P\n\n\0"[..], b"MD\n99b\n\n"] {
