@@ -33,24 +33,3 @@ impl fmt::Display for ErrorChain<'_> {
         Ok(())
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use std::io;
-
-    use super::*;
-    use crate::{Error, ErrorKind};
-
-    #[test]
-    fn a_chain_names_each_cause_once() {
-        #[derive(Debug, thiserror::Error)]
-        #[error("cannot start: {0}")]
-        struct Outer(#[source] Error);
-
-        let lost = Error::from(ErrorKind::disconnected(Some(io::Error::other("device removed"))));
-        let text = "cannot start: the link to the sensor is lost: device removed";
-        assert_eq!(ErrorChain(&Outer(lost)).to_string(), text);
-        let closed = Error::from(ErrorKind::Closed);
-        assert_eq!(ErrorChain(&closed).to_string(), closed.to_string());
-    }
-}

@@ -119,33 +119,3 @@ impl fmt::Debug for StaleError {
         fmt::Display::fmt(&ErrorChain(self), f)
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::ErrorKind;
-
-    const LIMIT: Duration = Duration::from_millis(500);
-
-    #[tokio::test(start_paused = true)]
-    async fn a_scan_is_fresh_until_the_limit() {
-        let fresh = Freshness::new(Some(Instant::now()), None);
-        assert_eq!((fresh.age(), fresh.check(LIMIT).is_ok()), (Some(Duration::ZERO), true));
-        tokio::time::advance(LIMIT).await;
-        assert_eq!((fresh.age(), fresh.check(LIMIT).is_ok()), (Some(LIMIT), true));
-        tokio::time::advance(Duration::from_millis(800)).await;
-        let stale = fresh.check(LIMIT).map_err(|stale| stale.to_string());
-        let text = "expected a scan within 500.0ms, but the last one is 1.3s old";
-        assert_eq!(stale, Err(text.to_owned()));
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn before_the_first_scan_nothing_is_fresh() {
-        let none = Freshness::new(None, Some(ErrorKind::LaserOff.into()));
-        let stale = none.check(LIMIT).map_err(|stale| ErrorChain(&stale).to_string());
-        let text = "expected a scan within 500.0ms, but none has arrived yet: \
-                    the laser of the sensor is switched off: switch it on before asking for scans";
-        assert_eq!(stale, Err(text.to_owned()));
-        assert_eq!(format!("{:?}", none.check(LIMIT)), format!("Err({text})"));
-    }
-}

@@ -7,9 +7,11 @@ use std::time::Duration;
 ///
 /// As data (feature `serde`) it has `revolution` in seconds, `jumps` and `clock_drift_ppm`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct MotorStats {
     /// Duration of a revolution.
+    #[cfg_attr(feature = "serde", serde(serialize_with = "seconds"))]
     pub revolution: Duration,
     /// Number of times that the phase of the motor jumped since the link was found.
     pub jumps: u64,
@@ -19,13 +21,6 @@ pub struct MotorStats {
 }
 
 #[cfg(feature = "serde")]
-impl serde::Serialize for MotorStats {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        use serde::ser::SerializeStruct;
-        let mut motor = serializer.serialize_struct("MotorStats", 3)?;
-        motor.serialize_field("revolution", &self.revolution.as_secs_f64())?;
-        motor.serialize_field("jumps", &self.jumps)?;
-        motor.serialize_field("clock_drift_ppm", &self.clock_drift_ppm)?;
-        motor.end()
-    }
+fn seconds<S: serde::Serializer>(time: &Duration, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_f64(time.as_secs_f64())
 }

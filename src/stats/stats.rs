@@ -175,26 +175,3 @@ pub enum Shortfall {
     /// Polls failed.
     Loss,
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_possible_remedies_are_named() {
-        let explain = |hz| {
-            let (shortfall, baud_rate) = (Some(Shortfall::Line), Some(BaudRate::B19200));
-            let (window, rate) = (Window::DETECTION, Rate::hz(hz));
-            ScheduleStats { window, rate, reached: None, failed: 0, shortfall, baud_rate }
-                .explanation()
-                .unwrap_or_default()
-        };
-        assert_eq!(
-            explain(10.0),
-            "a scan takes 733 ms at 19200 baud. What helps: fewer scans or steps, clusters of 9, \
-             250000 baud"
-        );
-        // No baud rate carries 1000 scans a second.
-        assert!(explain(1000.0).ends_with("What helps: fewer scans or steps"));
-    }
-}

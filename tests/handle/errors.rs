@@ -1,13 +1,15 @@
 //! Errors of a service that calls the crate with `?`.
 
 use std::error::Error as StdError;
+use std::io;
+use std::sync::Arc;
 use std::time::Duration;
 
 use tokio_scip::protocol::{Command, MalformedError, ParameterError, Reply, ReplyError};
 use tokio_scip::protocol::{Window, WindowError};
 use tokio_scip::scan::ScanError;
 use tokio_scip::state::StaleError;
-use tokio_scip::{Error, ErrorKind, Rate, Scan};
+use tokio_scip::{Error, ErrorChain, ErrorKind, Rate, Scan};
 use urg_emulator::Emulator;
 
 use crate::common::builder;
@@ -56,4 +58,22 @@ async fn every_error_converts_with_question_mark() {
     public.sort();
     converted.sort_unstable();
     assert_eq!(public, converted);
+}
+
+#[test]
+fn debug_writes_each_cause_once_and_alternate_debug_the_fields() {
+    #[derive(Debug, thiserror::Error)]
+    #[error("cannot start: {0}")]
+    struct Outer(#[source] Error);
+
+    let source = Some(Arc::new(io::Error::other("device removed")));
+    let error = Error::from(ErrorKind::Disconnected { source });
+    let text = "the link to the sensor is lost: device removed";
+    assert_eq!(format!("{error:?}"), text);
+    let fields = format!("{error:#?}");
+    for part in ["Error {", "kind: Disconnected {", "\"device removed\"", "sensor: None"] {
+        assert!(fields.contains(part), "{fields}");
+    }
+    assert_eq!(ErrorChain(&Outer(error)).to_string(), format!("cannot start: {text}"));
+    assert!(size_of::<Result<(), Error>>() <= size_of::<usize>());
 }

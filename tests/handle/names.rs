@@ -40,10 +40,7 @@ async fn every_error_of_a_request_names_the_sensor() {
     assert!(matches!(error.kind(), ErrorKind::Malformed { .. }), "{error}");
     assert!(error.to_string().starts_with("the reply of left to G"), "{error}");
     let error = poll_with(Faults::none().every(Fault::Status(b'6'))).await;
-    assert!(
-        matches!(error.kind(), ErrorKind::Refused { .. } | ErrorKind::NotConfirmed { .. }),
-        "{error}"
-    );
+    assert!(error.to_string().starts_with("the laser of left stays off"), "{error}");
 
     let emulator = Emulator::default();
     let sensor = left(&emulator).await;
@@ -52,10 +49,7 @@ async fn every_error_of_a_request_names_the_sensor() {
     assert!(matches!(error.kind(), ErrorKind::LaserOff), "{error}");
     emulator.set_faults(Faults::none().every(Fault::Status(b'1')));
     let error = named(sensor.laser_on().await.unwrap_err());
-    assert!(
-        matches!(error.kind(), ErrorKind::Refused { .. } | ErrorKind::NotConfirmed { .. }),
-        "{error}"
-    );
+    assert!(error.to_string().starts_with("the laser of left stays off"), "{error}");
     sensor.close().await;
     let error = named(sensor.version().await.unwrap_err());
     assert!(matches!(error.kind(), ErrorKind::Closed), "{error}");

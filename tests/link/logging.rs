@@ -209,21 +209,26 @@ async fn the_log_counts_bytes_of_one_search() {
 #[tokio::test(start_paused = true)]
 async fn a_rate_that_is_not_reached_is_logged_with_its_reason() {
     let usb = || Emulator::builder().revolution(Duration::from_millis(200));
-    for (emulator, faults, reason) in [
-        (usb(), Faults::none(), "the sensor answers no faster"),
-        (usb(), Faults::none().rate(0.5, Fault::Lost).seed(1), "polls brought no scan"),
+    let serial = || Emulator::builder().baud_rate(BaudRate::B19200);
+    for (emulator, hz, faults, reason) in [
+        (usb(), 10.0, Faults::none(), "the sensor answers no faster"),
+        (usb(), 10.0, Faults::none().rate(0.5, Fault::Lost).seed(1), "polls brought no scan"),
         (
-            Emulator::builder().baud_rate(BaudRate::B19200),
+            serial(),
+            10.0,
             Faults::none(),
-            "a scan takes 733 ms at 19200 baud",
+            "a scan takes 733 ms at 19200 baud. What helps: fewer scans or steps, clusters of 9, \
+             250000 baud",
         ),
+        // No baud rate carries so many.
+        (serial(), 1000.0, Faults::none(), "What helps: fewer scans or steps "),
     ] {
         let log = Log::default();
         let _guard = crate::common::logs::collect(log.clone());
         let emulator = emulator.build();
         let sensor = sensor(&emulator).await;
         emulator.set_faults(faults);
-        let _stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+        let _stream = sensor.scans(WINDOW, Rate::hz(hz)).await.unwrap();
         sleep(Duration::from_secs(20)).await;
         let log = log.0.lock().unwrap();
         let is_warning = |(level, _): &&(Level, String)| *level == Level::WARN;

@@ -42,7 +42,7 @@ async fn w04_a_bad_reply_leaves_no_laser_on() {
 #[tokio::test(start_paused = true)]
 async fn w04_a_false_status_of_success_is_detected() {
     let emulator = truthful().build();
-    let sensor = open(&emulator).await;
+    let sensor = builder().name("left").connect(emulator.clone()).await.unwrap();
     let mut faults = Faults::none();
     for reply in 0..10 {
         // Every second reply is that to a fence.
@@ -55,7 +55,7 @@ async fn w04_a_false_status_of_success_is_detected() {
     assert!(matches!(error.kind(), ErrorKind::NotConfirmed { .. }), "{error:?}");
     let text = error.to_string();
     assert!(
-        text.contains("the laser of the sensor stays on") && text.contains("L0 with status '0'"),
+        text.contains("the laser of left stays on") && text.contains("L0 with status '0'"),
         "{text}"
     );
 }
@@ -199,10 +199,11 @@ async fn o09_two_lost_replies_after_s_do_not_lose_the_sensor() {
 #[tokio::test(start_paused = true)]
 async fn a_refused_baud_rate_changes_neither_side() {
     let emulator = truthful().baud_rate(BaudRate::B19200).build();
-    let sensor = open(&emulator).await;
+    let sensor = builder().name("left").connect(emulator.clone()).await.unwrap();
     emulator.set_faults(Faults::none().at(1, Fault::Status(b'1')));
     let error = sensor.set_baud_rate(BaudRate::B115200).await.unwrap_err();
     assert!(matches!(error.kind(), ErrorKind::Refused { .. }), "{error:?}");
+    assert!(error.to_string().starts_with("left refused S"), "{error}");
     sensor.scan(Window::DETECTION).await.unwrap();
 }
 

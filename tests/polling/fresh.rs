@@ -22,11 +22,16 @@ async fn malformed_replies_leave_the_state_connected_and_the_scans_stale() {
     let emulator = Emulator::builder().build();
     let sensor = sensor(&emulator).await;
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
-    assert!(sensor.freshness().check(LIMIT).unwrap_err().age.is_none());
+    let none = sensor.freshness().check(LIMIT).unwrap_err();
+    assert_eq!(none.to_string(), "expected a scan within 500.0ms, but none has arrived yet");
+    assert!(none.age.is_none());
     let scan = stream.next().await.unwrap().unwrap();
     for freshness in [sensor.freshness(), stream.freshness()] {
-        assert_eq!(freshness.age(), Some(scan.received_at().elapsed()));
-        assert!(freshness.check(LIMIT).is_ok());
+        let age = scan.received_at().elapsed();
+        assert_eq!(freshness.age(), Some(age));
+        assert!(freshness.check(LIMIT).is_ok() && freshness.check(age).is_ok());
+        sleep(Duration::from_nanos(1)).await;
+        assert!(freshness.check(age).is_err(), "older than the limit");
     }
 
     emulator.set_faults(Faults::none().every(Fault::Flip(700, 0x80)));
@@ -37,10 +42,10 @@ async fn malformed_replies_leave_the_state_connected_and_the_scans_stale() {
         let stale = freshness.check(LIMIT).unwrap_err();
         assert!(stale.age.unwrap() > Duration::from_secs(4), "{stale}");
         let text = ErrorChain(&stale).to_string();
-        assert!(
-            text.contains("the reply of the sensor to G") && text.contains("expected"),
-            "{text}"
-        );
+        let begins = "expected a scan within 500.0ms, but the last one is 5.0s old: the reply of the \
+                      sensor to G";
+        assert!(text.starts_with(begins), "{text}");
+        assert_eq!(format!("{stale:?}"), text);
     }
 
     emulator.set_faults(Faults::none());
