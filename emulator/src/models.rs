@@ -118,7 +118,7 @@ impl Model {
 
     /// Geometry in SCIP 1.1, or in SCIP 2, where distances have more bits.
     pub(crate) const fn geometry(self, in_scip2: bool) -> Geometry {
-        let (codes, reach) = match self {
+        let (codes, reach, nearest, farthest) = match self {
             Self::Urg04lx | Self::Urg04lxUg01 => {
                 return Geometry {
                     resolution: 1024,
@@ -134,8 +134,9 @@ impl Model {
                     codes: &URG,
                 };
             }
-            Self::Utm30lx => (&UTM, 30_000),
-            Self::Ust10lx => (&ETHERNET, 10_000),
+            Self::Utm30lx => (&UTM, 30_000, 23, 60_000),
+            // As real ones say, of 2.23.0000 and 4.0.2-A; a UST-10LX is sold for 10 m.
+            Self::Ust10lx => (&ETHERNET, 10_000, 20, 30_000),
         };
         Geometry {
             resolution: 1440,
@@ -144,8 +145,8 @@ impl Model {
             front: 540,
             end: 1080,
             turn: 1081,
-            nearest: 23,
-            farthest: 60_000,
+            nearest,
+            farthest,
             reach,
             codes,
         }

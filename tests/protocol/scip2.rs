@@ -203,11 +203,11 @@ fn a_serial_number_may_have_its_sum_apart() {
 
 #[test]
 fn parameters_have_their_numbers() {
-    let frame = "PP\n00P\nMODL:UST-10LX;D\nDMIN:23;7\nDMAX:60000;J\nPROT:SCIP 2.2;P\nARES:1440;^\n\
+    let frame = "PP\n00P\nMODL:UST-10LX;D\nDMIN:20;4\nDMAX:30000;G\nPROT:SCIP 2.2;P\nARES:1440;^\n\
         AMIN:0;?\nAMAX:1080;Z\nAFRT:540;0\nSCAN:2400;U";
     let Content::Parameters(found) = parse(Command::Parameters, frame).unwrap() else { panic!() };
     assert_eq!(found.model, "UST-10LX");
-    assert_eq!(found.distances, 23..=60_000);
+    assert_eq!(found.distances, 20..=30_000);
     assert_eq!(found.steps_per_revolution, 1440);
     assert_eq!(found.steps, 0..=1080);
     assert_eq!((found.front, found.motor_speed), (540, 2400));

@@ -39,7 +39,7 @@ async fn every_model_is_found_and_measured() {
     for (model, points, reach) in [
         (Model::Urg04lxUg01, 682, 5600),
         (Model::Utm30lx, 1081, 60_000),
-        (Model::Ust10lx, 1081, 60_000),
+        (Model::Ust10lx, 1081, 30_000),
     ] {
         let emulator = numbered(model).build();
         let sensor = builder().connect(emulator.clone()).await.unwrap();

@@ -22,7 +22,7 @@ fn info_shows_what_a_model_measures() {
     for row in [
         "product        UST-10LX",
         "protocol       SCIP 2 (its own text: SCIP 2.2)",
-        "measures       23 to 60000 mm",
+        "measures       20 to 30000 mm",
         "window         steps 0 to 1080, -135.00° to 135.00°, 0.250° apart",
         "motor          2400 rpm nominal: 40 revolutions",
         "state          sensor is working normally, Measuring by Sensitive Mode, laser off",
@@ -83,9 +83,9 @@ fn the_state_has_what_the_page_needs_of_a_model() {
     let served = Served::start(&format!("{port} --from 0"));
     served.get("/scans?max=1").line().unwrap();
     let state = served.state();
-    assert_eq!(state["geometry"]["max_distance"], 60_000);
+    assert_eq!(state["geometry"]["max_distance"], 30_000);
     assert_eq!(state["codes"]["65533"]["meaning"], "nothing in range");
-    assert_eq!((&state["reach"], &state["window"]["end"]), (&61.2.into(), &1080.into()));
+    assert_eq!((&state["reach"], &state["window"]["end"]), (&30.6.into(), &1080.into()));
     let served = Served::start("emulated");
     served.get("/scans?max=1").line().unwrap();
     let code = &served.state()["codes"]["7"]["meaning"];
@@ -318,7 +318,7 @@ fn a_recording_of_a_model_is_read_as_the_sensor() {
     let path = path.display();
     run(&format!("record {port} {path} --count 20"), 0);
     let info = run(&format!("info {path}"), 0).stdout;
-    for row in ["scans          20 of steps 0..=1080", "23 to 60000 mm", "left out       none"] {
+    for row in ["scans          20 of steps 0..=1080", "20 to 30000 mm", "left out       none"] {
         assert!(info.contains(row), "{row} is not in\n{info}");
     }
     run(&format!("check {path}"), 0);

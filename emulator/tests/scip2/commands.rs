@@ -72,7 +72,7 @@ async fn a_ust_says_what_it_is() {
         ),
         (
             "PP",
-            "MODL:UST-10LX;D\nDMIN:23;7\nDMAX:60000;J\nPROT:SCIP 2.2;P\nARES:1440;^\nAMIN:0;?\n\
+            "MODL:UST-10LX;D\nDMIN:20;4\nDMAX:30000;G\nPROT:SCIP 2.2;P\nARES:1440;^\nAMIN:0;?\n\
              AMAX:1080;Z\nAFRT:540;0\nSCAN:2400;U",
         ),
     ] {

@@ -116,7 +116,7 @@ async fn the_driver_reads_what_each_model_says() {
         (Model::Urg04lx, "URG-04LX(Hokuyo Automatic Co.,Ltd.)", 44..=725, 20..=5600),
         (Model::Urg04lxUg01, "URG-04LX-UG01(Simple-URG)", 44..=725, 20..=5600),
         (Model::Utm30lx, "UTM-30LX(Hokuyo Automatic Co.,Ltd.)", 0..=1080, 23..=60_000),
-        (Model::Ust10lx, "UST-10LX", 0..=1080, 23..=60_000),
+        (Model::Ust10lx, "UST-10LX", 0..=1080, 20..=30_000),
     ] {
         let mut link = sensor(model).clock(Duration::from_millis(0x12_3456), 0.0).build().link();
         let mut label = 0;
