@@ -20,5 +20,6 @@ mod ports;
 mod poses;
 mod properties;
 mod protocol;
+mod scans;
 mod scip2;
 mod simulation;

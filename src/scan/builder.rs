@@ -185,30 +185,3 @@ impl From<ScanError> for Error {
         Self::other(error)
     }
 }
-
-#[cfg(test)]
-#[allow(clippy::unwrap_used)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn values_that_do_not_fit_their_window_are_refused() {
-        let build = |values: &[u32]| Scan::builder(Window::DETECTION, values).build();
-        let error = build(&[1000; 681]).unwrap_err();
-        let text = "invalid scan of steps 44..=725: expected 682 values, found 681";
-        assert_eq!(error.to_string(), text);
-        let mut values = [1000; 682];
-        assert!(build(&values).is_ok());
-        let with = |intensities: &[u32]| {
-            Scan::builder(Window::DETECTION, values).intensities(intensities).build()
-        };
-        assert_eq!(with(&[]).unwrap().intensities(), None);
-        assert_eq!(with(&[7; 682]).unwrap().intensities(), Some(&[7; 682][..]));
-        assert!(matches!(with(&[7; 681]), Err(ScanError::Length { found: 681, .. })));
-        (values[9], values[10]) = (4095, 4096);
-        assert_eq!(
-            build(&values).unwrap_err(),
-            ScanError::Value { index: 10, found: 4096, max: 4095 }
-        );
-    }
-}

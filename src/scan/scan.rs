@@ -213,12 +213,8 @@ pub(super) mod tests {
         scan_of(window, (0..window.points() as u32).map(|n| 20 + n))
     }
 
-    pub(in crate::scan) fn scan_of(window: Window, values: impl Iterator<Item = u32>) -> Scan {
+    fn scan_of(window: Window, values: impl Iterator<Item = u32>) -> Scan {
         Scan::builder(window, values.collect::<Vec<_>>()).build().unwrap()
-    }
-
-    pub(in crate::scan) fn window(from: u16, to: u16, cluster_count: u8) -> Window {
-        Window::new(from..=to).and_then(|window| window.with_cluster_count(cluster_count)).unwrap()
     }
 
     #[test]

@@ -167,27 +167,9 @@ impl Scan {
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
-    use super::super::scan::tests::{scan, window};
+    use super::super::scan::tests::scan;
     use super::*;
     use crate::Window;
-
-    #[test]
-    fn the_first_ray_follows_the_motor() {
-        let before = |scan: &Scan| {
-            let before = scan.times().stamp.duration_since(scan.first_ray_stamp()).unwrap();
-            (before.as_secs_f64() * 1e5).round() / 100.0
-        };
-        // Steps from the rear to the first one, of 1,024: 128 to step 0.
-        let ms = |steps: f64| ((1.0 - steps / 1024.0) * 1e4).round() / 100.0;
-        assert_eq!(before(&scan(Window::FULL)), 87.5);
-        assert_eq!(before(&scan(Window::DETECTION)), ms(128.0 + 44.0));
-        assert_eq!(before(&scan(window(640, 700, 1))), ms(128.0 + 640.0));
-        // The middle of the first cluster.
-        assert_eq!(before(&scan(window(640, 700, 3))), ms(128.0 + 641.0));
-        let mut slow = scan(Window::FULL);
-        slow.meta.scan_time = Duration::from_millis(200);
-        assert_eq!(before(&slow), 175.0);
-    }
 
     #[test]
     fn a_late_scan_has_earlier_rays() {

@@ -1,10 +1,12 @@
 //! What each model measures, and what its values mean. The numbers are those of the protocol texts
 //! and of replies of real sensors.
 
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
-use tokio_scip::protocol::scip2::{Command, Content, Reply, Request};
-use tokio_scip::protocol::{Geometry, Measurement, WindowError};
+use proptest::prelude::*;
+use tokio_scip::protocol::scip2::{self, Content, Request};
+use tokio_scip::protocol::{Command, Geometry, Measurement, Reply, WindowError};
 use tokio_scip::scan::ScanError;
 use tokio_scip::{Scan, Window};
 
@@ -18,11 +20,22 @@ fn geometry(model: &str, numbers: [u32; 7]) -> Geometry {
         let sum = line.bytes().map(u32::from).sum::<u32>() & 0x3f;
         frame += &format!("\n{line};{}", char::from_u32(sum + 0x30).unwrap());
     }
-    let request = Request::new(Command::Parameters, None);
-    match Reply::parse(&request, frame.as_bytes()).unwrap().content {
+    let request = Request::new(scip2::Command::Parameters, None);
+    match scip2::Reply::parse(&request, frame.as_bytes()).unwrap().content {
         Content::Parameters(parameters) => parameters.geometry(),
         content => panic!("{content:?}"),
     }
+}
+
+/// A UST-10LX with these steps.
+fn with_steps(steps_per_revolution: u16, steps: RangeInclusive<u16>, front: u16) -> Geometry {
+    let [first, last] = [*steps.start(), *steps.end()].map(u32::from);
+    let numbers = [23, 60_000, steps_per_revolution.into(), first, last, front.into(), 2400];
+    geometry("UST-10LX", numbers)
+}
+
+fn clustered(first: u16, last: u16, cluster_count: u8) -> Window {
+    Window::new(first..=last).unwrap().with_cluster_count(cluster_count).unwrap()
 }
 
 fn urg() -> Geometry {
@@ -240,4 +253,104 @@ fn a_scan_holds_values_of_18_bits() {
     assert_eq!(error, ScanError::Value { index: 1, found: 1 << 18, max: 262_143 });
     let text = "invalid scan: expected values of 0 to 262143, found 262144 at index 1";
     assert_eq!(error.to_string(), text);
+}
+
+#[test]
+fn a_urg_04lx_changes_no_window() {
+    let degrees = |from, to| Window::degrees(from..=to).unwrap();
+    for window in [
+        Window::FULL,
+        Window::DETECTION.with_cluster_count(4).unwrap(),
+        clustered(0, 43, 2),
+        degrees(-135.0, 135.0),
+        degrees(-0.1, 0.1),
+    ] {
+        let steps = (window.start(), window.end());
+        assert_eq!(resolved(window, Geometry::URG_04LX), Ok(steps));
+        // After a sensor of another model, too.
+        let before = window.resolve(&ust()).unwrap();
+        let again = before.resolve(&Geometry::URG_04LX).unwrap();
+        assert_eq!((again, again.is_same_wish(&window)), (window, true));
+    }
+    let last = with_steps(1024, 44..=9999, 384);
+    let all = Window::DETECTION.resolve(&last).unwrap();
+    assert_eq!((all.start(), all.end(), all.points()), (44, 9999, 9956));
+}
+
+#[test]
+fn wishes_differ_where_windows_are_equal() {
+    let wishes = [
+        Window::DETECTION,
+        clustered(44, 725, 1),
+        Window::degrees(-119.6..=119.9).unwrap(),
+        Window::degrees(-119.6..=119.91).unwrap(),
+    ];
+    for (n, one) in wishes.iter().enumerate() {
+        for (m, other) in wishes.iter().enumerate() {
+            assert_eq!(one, other);
+            assert_eq!(one.is_same_wish(other), n == m);
+        }
+        assert!(!one.is_same_wish(&one.with_cluster_count(2).unwrap()));
+    }
+    assert!(!clustered(44, 725, 1).is_same_wish(&clustered(44, 724, 1)));
+}
+
+/// No panic, and a command that a sensor knows.
+#[test]
+fn a_command_has_no_steps_that_it_cannot_name() {
+    for (steps, bytes) in [(0..=1080, "G00076801"), (1200..=9999, "G76876801")] {
+        let all = Window::DETECTION.resolve(&with_steps(1440, steps, 540)).unwrap();
+        let command = Command::Distances(all);
+        assert_eq!(command.to_string(), bytes);
+        assert!(Reply::parse(&command, format!("{bytes}\n0\n0000").as_bytes()).is_err());
+    }
+}
+
+proptest! {
+    /// Steps that are nearer to a bound than rounding count as inside or not.
+    #[test]
+    fn a_window_of_degrees_has_the_steps_inside(
+        steps_per_revolution in prop_oneof![Just(1024), Just(1440), 1_u16..20_000],
+        first in 0_u16..3000,
+        count in 0_u16..7000,
+        front in 0_u16..9999,
+        bounds in prop::array::uniform2(-135.0_f64..=135.0),
+    ) {
+        let [from, to] = [bounds[0].min(bounds[1]), bounds[0].max(bounds[1])];
+        let steps = first..=first + count;
+        let geometry = with_steps(steps_per_revolution, steps.clone(), front);
+        let step_angle = 360.0 / f64::from(steps_per_revolution);
+        let is_inside = |step: &i32| (from..=to).contains(&(f64::from(*step) * step_angle));
+        // Counted from the front: 135 degrees are 7,500 steps of 20,000.
+        let inside = (-7501..=7501).filter(is_inside).map(|step| step + i32::from(front));
+        let inside: Vec<i32> = inside.collect();
+        let is_near = |bound: f64| {
+            ((bound / step_angle).round() * step_angle - bound).abs() < 1e-6
+        };
+        let Ok(window) = Window::degrees(from..=to) else { return Ok(()) };
+        prop_assume!(!is_near(from) && !is_near(to));
+        let measured = |step: i32| u16::try_from(step).ok().filter(|step| steps.contains(step));
+        let expected = match inside[..] {
+            [] => None,
+            [only] => measured(only).zip(measured(only)),
+            [one, .., other] => measured(one).zip(measured(other)),
+        };
+        let found = window.resolve(&geometry).ok().map(|found| (found.start(), found.end()));
+        prop_assert_eq!(found, expected);
+    }
+
+    /// Each bound is the direction of a step, as far as a float can tell.
+    #[test]
+    fn a_window_of_degrees_has_the_steps_at_its_bounds(
+        steps_per_revolution in prop_oneof![Just(1024), Just(1440), 720_u16..20_000],
+        bounds in prop::array::uniform2(-270_i32..=270),
+    ) {
+        let geometry = with_steps(steps_per_revolution, 0..=9999, 5000);
+        let [first, last] = [bounds[0].min(bounds[1]), bounds[0].max(bounds[1])];
+        let direction = |step: i32| f64::from(step) * 360.0 / f64::from(steps_per_revolution);
+        let Ok(window) = Window::degrees(direction(first)..=direction(last)) else { return Ok(()) };
+        let expected = [first, last].map(|step| u16::try_from(step + 5000).unwrap());
+        let found = window.resolve(&geometry).unwrap();
+        prop_assert_eq!([found.start(), found.end()], expected);
+    }
 }
