@@ -102,6 +102,7 @@ async fn play(seed: u64) {
     // A URG-04LX begins in SCIP 1.1, which has no sums.
     let waiting = builder().depth(1000).wait_for_sensor(true).protocol(Protocol::Scip2);
     let sensor: Sensor = waiting.connect(emulator.clone()).await.unwrap();
+    let begun = Instant::now();
     let mut streams = Vec::new();
     for _ in 0..1 + random.below(3) {
         let rate = *random.pick(&[
@@ -171,6 +172,9 @@ async fn play(seed: u64) {
             count += followed.read(seed, clock_jumps, Duration::from_millis(100)).await;
         }
     }
+    let revolution = sensor.geometry().await.unwrap().revolution();
+    let lost = sensor.stats().lost as u32 * revolution;
+    assert!(lost < begun.elapsed(), "seed {seed}: {lost:?} of scans are lost");
 }
 
 fn random_fault(random: &mut Random) -> Fault {
@@ -193,6 +197,7 @@ fn random_fault(random: &mut Random) -> Fault {
             Fault::Ignored,
             Fault::WrongSum,
             Fault::ClockJump(-5000),
+            Fault::ClockJump(5000),
             Fault::Reset(50),
             Fault::HangUp(70),
         ])

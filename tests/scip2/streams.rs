@@ -229,6 +229,12 @@ async fn lost_scans_are_counted() {
     let gaps: u32 = all.windows(2).map(|pair| pair[1] - pair[0] - 1).sum();
     assert!(gaps > 100, "{gaps}");
     assert_eq!(sensor.stats().lost, u64::from(gaps));
+    // None is lost by a clock that jumps, or by a restart.
+    for jump in [1_500, 5_000, -2_000, 20_000] {
+        emulator.jump_clock(jump);
+        sleep(Duration::from_secs(1)).await;
+    }
+    assert_eq!(sensor.stats().lost, u64::from(gaps));
 }
 
 /// Scan of clusters, and the same from a sensor that sends nothing on its own.

@@ -26,9 +26,12 @@ use crate::{BaudRate, Error, ErrorKind, Geometry, Window};
 /// Milliseconds after which the sensor's clock begins anew: 24 bits (p. 12).
 const CLOCK: u32 = 1 << 24;
 const WRAP: Duration = Duration::from_millis(CLOCK as u64);
-/// Longest gap between two scans that counts as lost scans. After a longer one the clock has more
-/// likely jumped.
-const LONGEST_GAP: Duration = Duration::from_secs(10);
+/// By how much a scan may be older than the latest one: with a larger step back the clock has more likely
+/// jumped.
+const OLDEST: Duration = Duration::from_secs(10);
+/// How much more than the arrivals the sensor's clock may have moved on between two scans, because the
+/// first was late. With a larger step it has more likely jumped.
+const LONGEST_DELAY: Duration = Duration::from_secs(1);
 
 /// Largest share of a line's time that a stream may take. A fuller line hardly catches up after a pause:
 /// all scans would come late, at a pace so even that the sensor's clock seemed slow.
@@ -260,13 +263,14 @@ impl State {
         let latest = self.latest.replace((scan.stamp, times.received));
         if let Some((stamp, received)) = latest {
             let revolution = self.geometry.revolution();
-            let is_soon = times.began.duration_since(received) < revolution / 2;
+            let since = times.began.duration_since(received);
+            let is_soon = since < revolution / 2;
             // One copy may come late. More than one are scans of a clock that stands still.
             let was_copied = std::mem::replace(&mut self.was_copied, stamp == scan.stamp);
             let is_copy = match stamp == scan.stamp {
                 true => is_soon || !was_copied,
                 // At its own time, it is the first scan after a jump of the clock.
-                false => is_soon && between(scan.stamp, stamp) < LONGEST_GAP,
+                false => is_soon && between(scan.stamp, stamp) < OLDEST,
             };
             if is_copy {
                 self.latest = Some((stamp, times.received));
@@ -274,7 +278,11 @@ impl State {
                 return;
             }
             let period = revolution * (u32::from(running.skipped) + 1);
-            shared.counters.stats().lost += lost(stamp, scan.stamp, period);
+            let passed = between(stamp, scan.stamp);
+            if passed < since + LONGEST_DELAY {
+                let periods = (passed + period / 2).as_nanos() / period.as_nanos().max(1);
+                shared.counters.stats().lost += (periods as u64).saturating_sub(1);
+            }
         }
         let (window, stamp) = (running.window, scan.stamp);
         let mut acquired = acquired(scan, times);
@@ -303,14 +311,6 @@ impl State {
 /// an error, and one when it has found none (p. 11).
 fn is_pause(status: Status) -> bool {
     matches!(status.characters(), [b'2'..=b'4', _] | [b'9', b'8'])
-}
-
-/// Number of scans of a stream between two others, by the sensor's clock.
-fn lost(latest: Stamp, now: Stamp, period: Duration) -> u64 {
-    let since = between(latest, now);
-    let periods = (since + period / 2).as_nanos() / period.as_nanos().max(1);
-    // After a jump of the clock there may be any number.
-    if since < LONGEST_GAP { (periods as u64).saturating_sub(1) } else { 0 }
 }
 
 /// Time from one stamp to a later one. [`WRAP`] or less if it is not later.
