@@ -132,20 +132,20 @@ impl RequestQueue {
                 return Ok(Some(request));
             }
         }
-        loop {
-            let request = match self.next.take() {
-                Some(request) => request,
-                None => match self.receiver.try_recv() {
-                    Ok(request) => request,
-                    Err(mpsc::error::TryRecvError::Empty) => return Ok(None),
-                    Err(mpsc::error::TryRecvError::Disconnected) => return Err(Abandoned),
-                },
-            };
-            if !request.is_abandoned() {
-                self.desired.record(&request);
-                return Ok(Some(request));
-            }
+        let request = match self.next.take() {
+            Some(request) => request,
+            None => match self.receiver.try_recv() {
+                Ok(request) => request,
+                Err(mpsc::error::TryRecvError::Empty) => return Ok(None),
+                Err(mpsc::error::TryRecvError::Disconnected) => return Err(Abandoned),
+            },
+        };
+        if request.is_abandoned() {
+            // A stream that was dropped while this one filled the queue could not say so.
+            return Ok(Some(Box::new(Request::StreamDropped)));
         }
+        self.desired.record(&request);
+        Ok(Some(request))
     }
 
     /// Returns true if the next request that has waited for a link switches the laser.

@@ -42,6 +42,19 @@ async fn a_motor_a_little_slow_or_fast_is_polled_every_revolution() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_late_poll_goes_out_at_once_and_leaves_the_grid() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let start = take(&mut stream, 1).await[0].times().requested_at;
+    emulator.set_faults(Faults::none().at(0, Fault::Late(ms(150))));
+    let scans = take(&mut stream, 4).await;
+    let polls: Vec<_> = scans.iter().map(|scan| scan.times().requested_at - start).collect();
+    assert!((ms(250)..ms(260)).contains(&polls[1]), "{polls:?}");
+    assert_eq!([polls[0], polls[2], polls[3]], [ms(100), ms(300), ms(400)]);
+}
+
+#[tokio::test(start_paused = true)]
 async fn t06_a_slow_line_is_reported_once() {
     let emulator = truthful().baud_rate(BaudRate::B19200).pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
@@ -73,6 +86,12 @@ async fn a02_a_slow_consumer_gets_the_newest_scan_and_sees_the_gap() {
     assert!(request_of(&next) > request_of(&first));
     take(&mut stream, 1).await;
     assert_eq!(sensor.stats().missed, stream.missed());
+    tokio::time::sleep(ms(1050)).await;
+    take(&mut stream, 1).await;
+    let missed = stream.missed();
+    drop(stream);
+    sensor.scan(Window::DETECTION).await.unwrap();
+    assert_eq!(sensor.stats().missed, missed, "after its reader is gone");
 }
 
 #[tokio::test(start_paused = true)]
@@ -106,6 +125,12 @@ async fn an_error_is_reported_once_for_each_change_of_condition() {
     }
     assert_eq!(errors, 1);
     assert_eq!(sensor.stats().malformed.length, 10);
+    // After a scan, the same condition again and then another one.
+    emulator.set_faults(Faults::none().at(0, Fault::Drop(100..101)).at(2, Fault::Lost));
+    let malformed = stream.next().await.unwrap().unwrap_err();
+    assert!(matches!(malformed.kind(), ErrorKind::Malformed { .. }), "{malformed}");
+    let late = stream.next().await.unwrap().unwrap_err();
+    assert!(matches!(late.kind(), ErrorKind::Timeout { .. }), "{late}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -365,23 +390,25 @@ async fn the_state_reports_whether_scans_are_polled() {
 
 #[tokio::test(start_paused = true)]
 async fn dropping_the_last_stream_ends_streaming() {
-    // The queue of requests is empty, then full.
-    for requests in [0, 100] {
+    // The queue of requests is empty, then full, then full of requests without a caller.
+    for (requests, is_abandoned) in [(0, false), (100, false), (100, true)] {
         let sensor = builder().connect(Emulator::default()).await.unwrap();
         let stream = sensor.scans(Window::FULL, Rate::hz(0.001)).await.unwrap();
         let mut state = sensor.watch_state();
         let is_streaming =
             |state: &State| matches!(state, State::Connected { streaming: true, .. });
         state.wait_for(is_streaming).await.unwrap();
+        let mut callers = Vec::new();
         for _ in 0..requests {
             let sensor = sensor.clone();
-            tokio::spawn(async move { sensor.scan(Window::FULL).await });
+            callers.push(tokio::spawn(async move { sensor.scan(Window::FULL).await }));
         }
         tokio::task::yield_now().await;
         drop(stream);
+        callers.iter().filter(|_| is_abandoned).for_each(|caller| caller.abort());
         let ended = state.wait_for(|state| !is_streaming(state));
         let ended = tokio::time::timeout(Duration::from_secs(15), ended).await;
-        assert!(ended.is_ok(), "{requests} requests");
+        assert!(ended.is_ok(), "{requests} requests, abandoned: {is_abandoned}");
     }
 }
 

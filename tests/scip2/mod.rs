@@ -141,6 +141,15 @@ async fn equal_steps_of_different_wishes_are_two_streams() {
     let mut all = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     let mut some = sensor.scans(steps, Rate::hz(10.0)).await.unwrap();
     assert_eq!((next(&mut all).await.len(), next(&mut some).await.len()), (1081, 682));
+    // Before there is a sensor, they are the same steps.
+    let emulator = numbered(Model::Ust10lx).build();
+    let (sensor, driver) = builder().wait_for_sensor(true).build(emulator.clone());
+    emulator.unplug();
+    tokio::spawn(driver);
+    let mut all = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut some = sensor.scans(steps, Rate::hz(10.0)).await.unwrap();
+    emulator.plug_in();
+    assert_eq!((next(&mut all).await.len(), next(&mut some).await.len()), (1081, 682));
 }
 
 #[tokio::test(start_paused = true)]

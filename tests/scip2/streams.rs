@@ -69,6 +69,24 @@ async fn a_fast_or_slow_motor_costs_a_stream_of_its_rate_no_scan() {
     }
 }
 
+/// Scans come a little before or after the points of a slow stream's grid.
+#[tokio::test(start_paused = true)]
+async fn a_slow_stream_beside_a_fast_one_has_every_nth_scan() {
+    for turns in 2..=4 {
+        let emulator = numbered(Model::Urg04lxUg01).build();
+        let sensor = builder().depth(512).connect(emulator.clone()).await.unwrap();
+        let mut fast = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+        next(&mut fast).await;
+        emulator.set_faults(Faults::none().up_to(1.0, Fault::Late(Duration::from_millis(4))));
+        sleep(Duration::from_millis(2)).await;
+        let rate = Rate::hz(10.0 / f64::from(turns));
+        let mut slow = sensor.scans(Window::DETECTION, rate).await.unwrap();
+        // The first point is due at once.
+        let all = revolutions(&mut slow, 200).await.split_off(1);
+        assert!(all.windows(2).all(|pair| pair[1] == pair[0] + turns), "{turns}: {all:?}");
+    }
+}
+
 /// The host is busiest when a program starts, before the sensor's clock is known.
 #[tokio::test(start_paused = true)]
 async fn a_stream_begins_with_each_scan_even_if_several_come_at_once() {
