@@ -1,9 +1,6 @@
 //! [`Schedules`]: the polls of all streams, and when each is due. Knows nothing of ports
 //! and replies.
 
-#[cfg(test)]
-mod tests;
-
 use std::mem::{Discriminant, discriminant};
 use std::sync::Arc;
 use std::time::Duration;
@@ -13,21 +10,18 @@ use tokio::time::Instant;
 use super::rate_meter::RateMeter;
 use crate::ring::{Cursor, Ring};
 use crate::scan::Scan;
-use crate::state::Counters;
+use crate::state::Shared;
 use crate::stats::ScheduleStats;
 use crate::{BaudRate, Error, ErrorKind, Geometry, Rate, Window};
 
 /// Largest number of scans that a stream can leave out after each one.
 const MOST_SKIPPED: u8 = 9;
 
-/// All schedules of a driver.
-#[derive(Debug, Default)]
+/// All schedules of a driver, whose statistics they publish.
+#[derive(Debug)]
 pub(crate) struct Schedules {
     all: Vec<Schedule>,
-    /// Number of scans overwritten before a consumer read them.
-    missed: u64,
-    /// True if the published statistics are out of date.
-    changed: bool,
+    shared: Arc<Shared>,
 }
 
 /// One window at one rate, for all streams that want it.
@@ -64,20 +58,15 @@ pub(crate) struct DuePoll {
     pub(crate) rate: Rate,
     /// True unless this sensor cannot measure the window.
     pub(crate) is_measured: bool,
-}
-
-/// What the end of a poll changed.
-#[derive(Debug, Default)]
-pub(crate) struct Ended {
-    /// True if the scan's values equal the previous ones.
-    pub(crate) repeats: bool,
-    /// Number of scans that readers have missed since the previous one.
-    pub(crate) newly_missed: u64,
-    /// True if the rate falls short, and the log does not tell so yet.
-    pub(crate) falls_short: bool,
+    /// Number of grid points skipped before it.
+    skipped: u64,
 }
 
 impl Schedules {
+    pub(crate) fn new(shared: Arc<Shared>) -> Self {
+        Self { all: Vec::new(), shared }
+    }
+
     /// Returns a reader of the scans of `window` at `rate`, starting with the next one.
     /// Equal subscriptions share a schedule. Reports `trouble` to a new schedule only: an
     /// existing one has already told its readers. `geometry` is the sensor's, if there is a link.
@@ -104,7 +93,7 @@ impl Schedules {
         // Most sensors have one schedule.
         self.all.reserve_exact(1);
         self.all.push(schedule);
-        self.changed = true;
+        self.publish();
         reader
     }
 
@@ -158,7 +147,7 @@ impl Schedules {
             // No motor turns exactly with the grid, so a stream at the rate of the scans gets each of them.
             let asked = schedule.stats.rate.period();
             let gets_each = asked.is_none_or(|asked| asked <= period + period / 100);
-            (is_due || gets_each).then(|| schedule.poll())
+            (is_due || gets_each).then(|| schedule.poll(0))
         });
         taken.collect()
     }
@@ -178,10 +167,10 @@ impl Schedules {
         self.all.is_empty()
     }
 
-    /// Takes the poll that has been due longest. Also returns the number of grid points
-    /// skipped. Drops unread schedules only when they are due: a poll checks only its own
-    /// schedule's readers, so its cost does not grow with the number of schedules.
-    pub(crate) fn take_due(&mut self, now: Instant) -> Option<(DuePoll, u64)> {
+    /// Takes the poll that has been due longest. Drops unread schedules only when they are due: a
+    /// poll checks only its own schedule's readers, so its cost does not grow with the number of
+    /// schedules.
+    pub(crate) fn take_due(&mut self, now: Instant) -> Option<DuePoll> {
         loop {
             let polled = self.all.iter_mut().filter(|schedule| !schedule.is_streamed);
             let schedule = polled.min_by_key(|schedule| schedule.due)?;
@@ -191,40 +180,42 @@ impl Schedules {
             // Readers own the ring, too. Cheaper than to count them.
             if Arc::strong_count(&schedule.ring) > 1 {
                 let skipped = schedule.advance(now);
-                return Some((schedule.poll(), skipped));
+                return Some(schedule.poll(skipped));
             }
             self.drop_unread();
         }
     }
 
     /// Delivers the scan that `poll` received, on a line at `baud_rate` if there is one.
-    pub(crate) fn deliver(
-        &mut self,
-        poll: DuePoll,
-        scan: Scan,
-        baud_rate: Option<BaudRate>,
-    ) -> Ended {
-        let Self { all, missed, changed } = self;
-        let Some(schedule) = find(all, poll.window, poll.rate) else { return Ended::default() };
+    pub(crate) fn deliver(&mut self, poll: DuePoll, scan: Scan, baud_rate: Option<BaudRate>) {
+        let Some(schedule) = find(&mut self.all, poll.window, poll.rate) else { return };
         schedule.condition = None;
         let received_at = scan.received_at();
         let latency = received_at.saturating_duration_since(scan.meta.requested_at);
         schedule.speed.count_scan(latency, scan.scan_time());
-        let (repeats, now_missed) = schedule.ring.push(scan);
-        let newly_missed = now_missed - std::mem::replace(&mut schedule.missed, now_missed);
-        *missed += newly_missed;
-        let falls_short = schedule.end_poll(received_at, received_at, baud_rate, changed);
-        Ended { repeats, newly_missed, falls_short }
+        let (repeats, missed) = schedule.ring.push(scan);
+        let newly_missed = missed - std::mem::replace(&mut schedule.missed, missed);
+        if repeats || newly_missed > 0 || poll.skipped > 0 {
+            let mut stats = self.shared.counters.stats();
+            stats.repeats += u64::from(repeats);
+            stats.missed += newly_missed;
+            stats.polls_skipped += poll.skipped;
+        }
+        if schedule.end_poll(received_at, received_at, baud_rate) {
+            self.publish();
+        }
     }
 
     /// Reports the error of one poll. At [`Rate::UNLIMITED`] the next one is due at `again`.
-    pub(crate) fn fail(&mut self, poll: DuePoll, error: &Error, again: Instant) -> Ended {
-        let Self { all, changed, .. } = self;
-        let Some(schedule) = find(all, poll.window, poll.rate) else { return Ended::default() };
+    #[cold]
+    pub(crate) fn fail(&mut self, poll: DuePoll, error: &Error, again: Instant) {
+        let Some(schedule) = find(&mut self.all, poll.window, poll.rate) else { return };
         schedule.report(error);
         schedule.speed.count_failure();
-        let falls_short = schedule.end_poll(Instant::now(), again, None, changed);
-        Ended { falls_short, ..Ended::default() }
+        self.shared.counters.stats().polls_skipped += poll.skipped;
+        if schedule.end_poll(Instant::now(), again, None) {
+            self.publish();
+        }
     }
 
     /// Reports a lost link to all streams.
@@ -238,47 +229,36 @@ impl Schedules {
     pub(crate) fn pause(&mut self) {
         for schedule in &mut self.all {
             schedule.stats = unmeasured(schedule.stats.window, schedule.stats.rate);
-            self.changed = true;
         }
+        self.publish();
     }
 
-    /// Publishes the statistics if they have changed.
-    pub(crate) fn publish(&mut self, counters: &Counters) {
-        if std::mem::take(&mut self.changed) {
-            let rings = self.all.iter().map(|one| (one.stats, Arc::downgrade(&one.ring)));
-            counters.set_schedules(rings);
-        }
-    }
-
-    /// Requested and achieved rate of a schedule.
-    pub(crate) fn stats(&mut self, poll: DuePoll) -> Option<ScheduleStats> {
-        find(&mut self.all, poll.window, poll.rate).map(|schedule| schedule.stats)
-    }
-
-    /// Number of scans overwritten before a consumer read them, as of each schedule's
-    /// latest poll.
-    pub(crate) fn missed(&self) -> u64 {
-        self.missed
+    fn publish(&self) {
+        let rings = self.all.iter().map(|one| (one.stats, Arc::downgrade(&one.ring)));
+        self.shared.counters.set_schedules(rings);
     }
 
     /// Ends all streams.
-    pub(crate) fn end(&mut self, cause: Option<&Error>) {
-        for schedule in self.all.drain(..) {
+    pub(crate) fn end(&self, cause: Option<&Error>) {
+        for schedule in &self.all {
             schedule.ring.end(cause.cloned());
         }
     }
 
     /// Drops the schedules without readers.
     pub(crate) fn drop_unread(&mut self) {
-        let Self { all, missed, changed, .. } = self;
-        all.retain_mut(|schedule| {
-            let read = schedule.ring.readers() > 0;
-            if !read {
-                *missed += schedule.newly_missed();
-                *changed = true;
+        let before = self.all.len();
+        self.all.retain(|schedule| {
+            let is_read = schedule.ring.readers() > 0;
+            if !is_read {
+                let newly_missed = schedule.ring.missed() - schedule.missed;
+                self.shared.counters.stats().missed += newly_missed;
             }
-            read
+            is_read
         });
+        if self.all.len() < before {
+            self.publish();
+        }
     }
 }
 
@@ -318,9 +298,9 @@ impl Schedule {
         (self.is_measured && skipped <= MOST_SKIPPED).then_some(skipped)
     }
 
-    fn poll(&self) -> DuePoll {
+    fn poll(&self, skipped: u64) -> DuePoll {
         let ScheduleStats { window, rate, .. } = self.stats;
-        DuePoll { window, rate, is_measured: self.is_measured }
+        DuePoll { window, rate, is_measured: self.is_measured, skipped }
     }
 
     /// Advances to the first grid point after `now`, so that a late poll delays at most
@@ -355,27 +335,26 @@ impl Schedule {
         self.stats.window = resolved.unwrap_or(self.stats.window);
     }
 
-    /// Ends a poll, and returns true if the rate falls short and that is news. At [`Rate::UNLIMITED`]
-    /// the next poll is due at `due`. Sets `changed` if the statistics have changed.
-    fn end_poll(
-        &mut self,
-        now: Instant,
-        due: Instant,
-        baud_rate: Option<BaudRate>,
-        changed: &mut bool,
-    ) -> bool {
+    /// Ends a poll, and returns true if the statistics have changed. At [`Rate::UNLIMITED`] the next
+    /// poll is due at `due`.
+    fn end_poll(&mut self, now: Instant, due: Instant, baud_rate: Option<BaudRate>) -> bool {
         if self.stats.rate.period().is_none() {
             self.due = due;
         }
         let is_over = self.speed.finish_span(now, baud_rate, &mut self.stats);
-        *changed |= is_over;
-        is_over && self.speed.is_news(self.stats.shortfall)
+        if is_over && self.is_measured && self.speed.is_news(self.stats.shortfall) {
+            self.warn_of_shortfall();
+        }
+        is_over
     }
 
-    /// Number of scans that readers missed since the last call.
-    fn newly_missed(&mut self) -> u64 {
-        let missed = self.ring.missed();
-        missed - std::mem::replace(&mut self.missed, missed)
+    /// Logs why the rate falls short.
+    #[cold]
+    fn warn_of_shortfall(&self) {
+        let ScheduleStats { window, rate, reached, .. } = self.stats;
+        let reached = reached.unwrap_or_default();
+        let explanation = self.stats.explanation().unwrap_or_default();
+        tracing::warn!(%window, asked = %rate, reached, "{explanation}");
     }
 
     /// Passes `error` on unless it is of the same kind as the last error since the last
@@ -385,5 +364,26 @@ impl Schedule {
         if self.condition.replace(kind) != Some(kind) {
             self.ring.report(error.clone());
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn a_fast_motor_leaves_the_grid_as_it_is() {
+        const PERIOD: Duration = Duration::from_millis(100);
+        let start = Instant::now();
+        let mut schedules = Schedules::new(Arc::new(Shared::new(None)));
+        let _reader = schedules.subscribe(Window::FULL, Rate::hz(10.0), 1, None, None);
+        schedules.begin_stream(PERIOD);
+        let turn = Duration::from_micros(99_760);
+        for n in 0..10_000 {
+            assert!(!schedules.take_streamed(start + turn * n, PERIOD).is_empty());
+        }
+        schedules.end_stream();
+        let ahead = schedules.next_due().unwrap() - (start + turn * 9_999);
+        assert!(ahead <= PERIOD * 3 / 2, "{ahead:?}");
     }
 }

@@ -51,7 +51,7 @@ impl Supervisor {
         shared: Arc<Shared>,
     ) -> Self {
         let opener = Opener::new(connect, config.clone(), Arc::clone(&shared));
-        let schedules = Schedules::default();
+        let schedules = Schedules::new(Arc::clone(&shared));
         let offline = OfflineQueue { queue, schedules, shared: Arc::clone(&shared) };
         Self { offline, opener, backoff: Backoff::new(config.backoff), config, shared }
     }
@@ -86,7 +86,7 @@ impl Supervisor {
 
     /// Enters the final state, and ends all streams.
     fn end(&mut self, error: Option<&Error>) {
-        self.offline.pause();
+        self.offline.schedules.pause();
         self.shared.enter(State::Closed { error: error.cloned() });
         self.offline.schedules.end(error);
     }
@@ -144,7 +144,7 @@ impl Supervisor {
         if matches!(stop, Stop::Closed(_) | Stop::Abandoned) {
             Box::pin(session.stop_stream()).await;
         }
-        self.offline.pause();
+        self.offline.schedules.pause();
         self.offline.queue.lose_link();
         // What is known about the motor belongs to the session.
         self.shared.counters.stats().motor = None;
@@ -239,12 +239,6 @@ impl Supervisor {
 }
 
 impl OfflineQueue {
-    /// Stops polling, so that no schedule shows a rate.
-    fn pause(&mut self) {
-        self.schedules.pause();
-        self.schedules.publish(&self.shared.counters);
-    }
-
     /// Runs `work` while there is no link, and serves the requests that need none. New
     /// schedules begin with `trouble`, if any.
     async fn run<T>(
@@ -280,7 +274,7 @@ impl Drop for OfflineQueue {
         if !self.shared.link.is_closed() {
             self.shared.enter(State::Closed { error: None });
         }
-        self.pause();
+        self.schedules.pause();
         let cause = self.shared.link.cause();
         self.schedules.end(Some(&cause));
     }

@@ -12,7 +12,6 @@ mod watch;
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-pub(crate) use self::counters::Counters;
 #[doc(no_inline)]
 pub use self::freshness::Freshness;
 pub use self::freshness::StaleError;

@@ -163,7 +163,6 @@ impl Service<'_> {
         self.answer(session, request).await?;
         // One of the streams may have been dropped since the last request.
         self.schedules.drop_unread();
-        self.schedules.publish(&self.shared.counters);
         Ok(())
     }
 

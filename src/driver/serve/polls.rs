@@ -6,7 +6,7 @@ use tokio::time::Instant;
 
 use super::super::failure::{ExchangeError, LinkError};
 use super::super::rarely::rarely;
-use super::super::schedule::{DuePoll, Ended};
+use super::super::schedule::DuePoll;
 use super::super::session::{Acquired, Session};
 use super::{Service, Stop, command_error};
 use crate::scan::{Scan, ScanMeta};
@@ -51,15 +51,12 @@ impl Service<'_> {
         {
             return Ok(is_served);
         }
-        let Some((poll, skipped)) = self.schedules.take_due(now) else {
-            self.schedules.publish(&self.shared.counters);
-            return Ok(true);
-        };
+        let Some(poll) = self.schedules.take_due(now) else { return Ok(true) };
+        let window = poll.window;
         if !poll.is_measured {
-            self.fail_unmeasured(poll)?;
+            self.fail(poll, self.unmeasured(window))?;
             return Ok(true);
         }
-        let window = poll.window;
         // Earlier, the session would have to confirm the reply, which costs a revolution.
         if poll.rate.period().is_some()
             && let Some(copies_end) = session.copies_end(window)
@@ -71,8 +68,8 @@ impl Service<'_> {
             acquired = rarely(|| self.poll_again(session, window, failure)).await;
         }
         match acquired {
-            Ok(acquired) => self.deliver(poll, acquired, session.believed_baud_rate(), skipped),
-            Err(failure) => self.fail(poll, failure, skipped)?,
+            Ok(acquired) => self.deliver(poll, acquired, session.believed_baud_rate()),
+            Err(failure) => self.fail(poll, failure)?,
         }
         Ok(true)
     }
@@ -83,57 +80,21 @@ impl Service<'_> {
         poll: DuePoll,
         acquired: Acquired,
         baud_rate: Option<BaudRate>,
-        skipped: u64,
     ) {
         let scan = self.scan_from(poll.window, acquired);
-        let ended = self.schedules.deliver(poll, scan, baud_rate);
-        self.end_poll(poll, ended, skipped);
-    }
-
-    /// Counts what the end of a poll changed.
-    #[inline(always)]
-    fn end_poll(&mut self, poll: DuePoll, ended: Ended, skipped: u64) {
-        if ended.falls_short {
-            self.warn_of_shortfall(poll);
-        }
-        if ended.repeats || ended.newly_missed > 0 || skipped > 0 {
-            let mut stats = self.shared.counters.stats();
-            stats.repeats += u64::from(ended.repeats);
-            stats.polls_skipped += skipped;
-            stats.missed = self.schedules.missed();
-        }
-        self.schedules.publish(&self.shared.counters);
+        self.schedules.deliver(poll, scan, baud_rate);
     }
 
     /// Ends a poll that has failed.
     #[cold]
-    pub(super) fn fail(
-        &mut self,
-        poll: DuePoll,
-        failure: ExchangeError,
-        skipped: u64,
-    ) -> Result<(), LinkError> {
-        let ended = self.report(poll, failure)?;
-        self.end_poll(poll, ended, skipped);
-        Ok(())
-    }
-
-    fn report(&mut self, poll: DuePoll, failure: ExchangeError) -> Result<Ended, LinkError> {
+    pub(super) fn fail(&mut self, poll: DuePoll, failure: ExchangeError) -> Result<(), LinkError> {
         let mut again = Instant::now();
         // A refusal comes at once, and a window that the sensor lacks is not even sent.
         if !failure.is_lost_reply() {
             again += self.scan_time;
         }
         let error = self.shared.link.error(command_error(failure)?);
-        Ok(self.schedules.fail(poll, &error, again))
-    }
-
-    /// Ends a poll that this sensor cannot answer.
-    #[cold]
-    fn fail_unmeasured(&mut self, poll: DuePoll) -> Result<(), LinkError> {
-        let failure = self.unmeasured(poll.window);
-        self.report(poll, failure)?;
-        self.schedules.publish(&self.shared.counters);
+        self.schedules.fail(poll, &error, again);
         Ok(())
     }
 
@@ -224,14 +185,5 @@ impl Service<'_> {
             self.ray_order.arrange(&mut scan);
         }
         scan
-    }
-
-    /// Logs why a schedule falls short of its rate.
-    #[cold]
-    fn warn_of_shortfall(&mut self, poll: DuePoll) {
-        let Some(stats) = self.schedules.stats(poll) else { return };
-        let (DuePoll { window, rate, .. }, reached) = (poll, stats.reached.unwrap_or_default());
-        let explanation = stats.explanation().unwrap_or_default();
-        tracing::warn!(%window, asked = %rate, reached, "{explanation}");
     }
 }

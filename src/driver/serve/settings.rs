@@ -67,10 +67,7 @@ impl Service<'_> {
         };
         match self.laser.is_off() {
             is_off if is_off == was_off => {}
-            true => {
-                self.schedules.pause();
-                self.schedules.publish(&self.shared.counters);
-            }
+            true => self.schedules.pause(),
             false => self.schedules.resume(Instant::now()),
         }
         outcome

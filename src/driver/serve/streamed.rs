@@ -49,7 +49,6 @@ impl Service<'_> {
                 self.schedules.end_stream();
             }
         }
-        self.schedules.publish(&self.shared.counters);
         Ok(if is_due { None } else { Some(true) })
     }
 
@@ -66,7 +65,7 @@ impl Service<'_> {
         self.shared.counters.fail(self.shared.link.error(error.clone()));
         for poll in self.take_streamed(Duration::ZERO) {
             self.shared.counters.count_poll();
-            self.fail(poll, ExchangeError::Command(error.clone()), 0)?;
+            self.fail(poll, ExchangeError::Command(error.clone()))?;
         }
         Ok(())
     }
@@ -121,7 +120,7 @@ impl Service<'_> {
                 self.shared.counters.count_poll();
                 // It may have been sent before the stream had this window.
                 if let Some(acquired) = streamed.cut(poll.window, &self.geometry) {
-                    self.deliver(poll, acquired, session.believed_baud_rate(), 0);
+                    self.deliver(poll, acquired, session.believed_baud_rate());
                 }
             }
         }
