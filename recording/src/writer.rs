@@ -178,6 +178,9 @@ impl Writer {
         if span.is_some_and(|span| span >= nanos(CHUNK_SPAN)) {
             self.flush()?;
         }
+        if topic == Topic::Events {
+            declare(&mut self.mcap, topic);
+        }
         self.chunk_began.get_or_insert_with(|| (log_time, Instant::now()));
         self.part.began.get_or_insert(log_time);
         let publish_time = nanos(since_1970(times.wall));
@@ -224,6 +227,8 @@ impl Writer {
         let began = self.chunk_began.map(|(began, _)| began).or(self.part.began);
         let Part { reply, after_scan, .. } = self.part;
         self.start_next_part(began.unwrap_or_default())?;
+        // The chunk may have events.
+        declare(&mut self.mcap, Topic::Events);
         self.part = Part { began, reply, after_scan, ..Part::default() };
         self.mcap.put_chunk(chunk)
     }
@@ -264,17 +269,23 @@ impl Writer {
     }
 }
 
-/// Starts a file with the three channels.
+/// Starts a file with the channels that every recording uses. Checkers of recordings refuse a topic
+/// without messages, so that of the events is declared with the first one.
 fn start(out: Counted, compression: Compression) -> io::Result<Mcap> {
     let mut mcap = McapWriter::start(out, &mcap::header("ros2", LIBRARY), compression)?;
-    for topic in Topic::ALL {
-        let message = topic.message_type();
-        let schema = mcap::schema(message.name(), message.definition());
-        mcap.declare(kind::SCHEMA, topic.schema(), &schema);
-        let channel = mcap::channel(topic.schema(), topic.name());
-        mcap.declare(kind::CHANNEL, topic.channel(), &channel);
+    for topic in [Topic::Scans, Topic::Replies] {
+        declare(&mut mcap, topic);
     }
     Ok(mcap)
+}
+
+/// Declares the channel of a topic, unless the file has it.
+fn declare(mcap: &mut Mcap, topic: Topic) {
+    let message = topic.message_type();
+    let schema = mcap::schema(message.name(), message.definition());
+    mcap.declare(kind::SCHEMA, topic.schema(), &schema);
+    let channel = mcap::channel(topic.schema(), topic.name());
+    mcap.declare(kind::CHANNEL, topic.channel(), &channel);
 }
 
 #[cfg(test)]

@@ -15,6 +15,8 @@ pub(super) struct ChunkMessages {
 
 /// Where a chunk is, and how it is compressed.
 pub(super) struct ChunkPlace {
+    /// Log times of its first and its last message.
+    pub(super) times: (u64, u64),
     pub(super) start: u64,
     /// Length of its record.
     pub(super) length: u64,
@@ -53,9 +55,9 @@ impl ChunkMessages {
         self.channels.entry(header.channel).or_default().push([header.log_time, place as u64]);
     }
 
-    /// Log times of the first and the last message, or 0 without messages.
-    pub(super) fn span(&self) -> (u64, u64) {
-        self.span.unwrap_or_default()
+    /// Log times of the first and the last message.
+    pub(super) fn span(&self) -> Option<(u64, u64)> {
+        self.span
     }
 
     /// Encodes the message indexes of a chunk, which begin at `start` in the file, and the place of
@@ -124,13 +126,11 @@ impl Index {
         places: &[u8],
     ) {
         self.chunks += 1;
-        if let Some((first, last)) = messages.span {
-            self.span = Some(extend(self.span, first, last));
-        }
+        let (first, last) = place.times;
+        self.span = Some(extend(self.span, first, last));
         for (channel, messages) in &messages.channels {
             *self.messages.entry(*channel).or_default() += messages.len() as u64;
         }
-        let (first, last) = messages.span();
         put_record(&mut self.chunk_indexes, kind::CHUNK_INDEX, |out| {
             put_numbers(out, &[first, last, place.start, place.length]);
             put_bytes(out, places);

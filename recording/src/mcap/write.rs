@@ -142,7 +142,8 @@ impl<W: Write> McapWriter<W> {
     /// Writes the index and the end of the file. Write nothing after it.
     pub(crate) fn end(&mut self) -> io::Result<()> {
         self.end_chunk()?;
-        let mut end = Vec::new();
+        // What no message uses.
+        let mut end = self.chunk.record.split_off(CHUNK_HEAD.min(self.chunk.record.len()));
         // CRC 0 means that it was not computed.
         put_record(&mut end, kind::DATA_END, |out| out.extend_from_slice(&[0; 4]));
         let summary_at = end.len();
@@ -190,12 +191,11 @@ impl<W: Write> McapWriter<W> {
     }
 
     /// Writes the open chunk, followed by the positions of its messages, all at once. If that fails, the
-    /// chunk stays open.
+    /// chunk stays open. It also does without messages: such a chunk would have the time 0, and viewers
+    /// begin a file with its earliest chunk.
     fn end_chunk(&mut self) -> io::Result<()> {
+        let Some(times @ (start, end)) = self.chunk.messages.span() else { return Ok(()) };
         let mut chunk = std::mem::take(&mut self.chunk);
-        if chunk.record.is_empty() {
-            return Ok(());
-        }
         let records = chunk.record.get(CHUNK_HEAD..).unwrap_or_default();
         let (size, crc) = (records.len(), crc32fast::hash(records));
         let name = self.compression.name();
@@ -207,7 +207,6 @@ impl<W: Write> McapWriter<W> {
             false => (&mut chunk.record, ""),
         };
         let head_bytes = CHUNK_HEAD + compression.len();
-        let (start, end) = chunk.messages.span();
         let mut head = vec![kind::CHUNK];
         let length = (record.len() - RECORD_HEAD) as u64;
         put_numbers(&mut head, &[length, start, end, size as u64]);
@@ -219,6 +218,7 @@ impl<W: Write> McapWriter<W> {
         }
         let length = record.len();
         let place = ChunkPlace {
+            times,
             start: self.offset,
             length: length as u64,
             compression,
