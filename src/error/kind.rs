@@ -229,11 +229,15 @@ impl fmt::Display for Sentence<'_> {
                 "{port} is in use: stop the program that has it open (`fuser {port}` shows it; ModemManager probes new ports for some seconds)"
             ),
             ErrorKind::Open { port, source } => {
-                let is_refused = source.kind() == io::ErrorKind::ConnectionRefused;
-                let remedy = if is_refused {
-                    ": a sensor on Ethernet may still boot, or serve another client; otherwise start its server, or correct the address"
-                } else {
-                    ""
+                let remedy = match source.kind() {
+                    io::ErrorKind::ConnectionRefused => {
+                        ": a sensor on Ethernet may still boot, or serve another client; otherwise start its server, or correct the address"
+                    }
+                    // A UST may leave another client's connection unanswered.
+                    io::ErrorKind::TimedOut if port.starts_with("tcp://") => {
+                        ": check its power and address, and stop other programs that are connected to it; if there is none, power-cycle it"
+                    }
+                    _ => "",
                 };
                 write!(f, "cannot open {port}{remedy}")
             }
