@@ -19,7 +19,7 @@ use crate::ErrorKind;
 
 /// [`Connect`] for the port that an [`Endpoint`] names.
 #[derive(Debug)]
-pub(crate) struct EndpointConnector {
+struct EndpointConnector {
     route: Route,
     /// Text of the endpoint, for error messages.
     name: String,
@@ -59,31 +59,25 @@ impl Endpoint {
     /// [`PermissionDenied`](crate::ErrorKind::PermissionDenied) if you may not open one of the
     /// ports. The next call lists the ports again.
     pub fn into_connector(self) -> impl Connect<Port = Box<dyn Port>> + fmt::Debug {
-        EndpointConnector::new(self)
-    }
-}
-
-impl EndpointConnector {
-    fn new(endpoint: Endpoint) -> Self {
-        let name = endpoint.to_string();
-        let route = match endpoint {
+        let name = self.to_string();
+        let route = match self {
             #[cfg(feature = "serial")]
-            Endpoint::Serial(path) => Route::Serial { path, opener: SerialOpener::default() },
+            Self::Serial(path) => Route::Serial { path, opener: SerialOpener::default() },
             #[cfg(feature = "serial")]
-            Endpoint::SerialNumber(number) => {
+            Self::SerialNumber(number) => {
                 Route::SerialNumber(Search::new(number, SystemPorts::default()))
             }
             #[cfg(not(feature = "serial"))]
-            Endpoint::Serial(_) | Endpoint::SerialNumber(_) => Route::Missing(NO_SERIAL),
+            Self::Serial(_) | Self::SerialNumber(_) => Route::Missing(NO_SERIAL),
             #[cfg(feature = "tcp")]
-            Endpoint::Tcp { host, port, baud_rate } => {
+            Self::Tcp { host, port, baud_rate } => {
                 let baud_rate = line_baud_rate(port, baud_rate);
                 Route::Tcp { host, port, baud_rate, lookup: Lookup::default() }
             }
             #[cfg(not(feature = "tcp"))]
-            Endpoint::Tcp { .. } => Route::Missing(NO_TCP),
+            Self::Tcp { .. } => Route::Missing(NO_TCP),
         };
-        Self { route, name }
+        EndpointConnector { route, name }
     }
 }
 

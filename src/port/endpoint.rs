@@ -37,6 +37,7 @@ use crate::{BaudRate, Error, ErrorKind};
 /// # Ok::<(), tokio_scip::Error>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(try_from = "String"))]
 #[non_exhaustive]
 pub enum Endpoint {
     /// A serial port, by its path (Unix) or name (Windows), locked for other programs while it is
@@ -144,14 +145,6 @@ impl serde::Serialize for Endpoint {
     }
 }
 
-#[cfg(feature = "serde")]
-impl<'de> serde::Deserialize<'de> for Endpoint {
-    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let text = <String as serde::Deserialize>::deserialize(deserializer)?;
-        text.parse().map_err(<D::Error as serde::de::Error>::custom)
-    }
-}
-
 type Parsed = Result<Endpoint, &'static str>;
 
 fn parse(text: &str) -> Parsed {
@@ -195,52 +188,39 @@ fn parse_tcp(address: &str) -> Parsed {
         None => (address, DEFAULT_BRIDGE_BAUD_RATE),
         Some((authority, query)) => (authority, parse_query(query)?),
     };
-    let (host, port) = match authority.strip_prefix('[') {
+    let (host, port) = match authority.rsplit_once(':') {
+        Some((host, port)) if !port.contains(']') => (host, Some(port)),
+        // The colon is part of an IPv6 address.
+        _ => (authority, None),
+    };
+    let host = match host.strip_prefix('[') {
         Some(bracketed) => {
-            let (host, rest) = bracketed
-                .split_once(']')
-                .ok_or("the closing bracket is missing, as in tcp://[::1]:4001")?;
+            let host = bracketed.strip_suffix(']').ok_or(BRACKETS)?;
             // Only the system knows which zones exist, as in fe80::1%eth0.
             let (address, zone) = host.split_once('%').unwrap_or((host, "0"));
             if address.parse::<Ipv6Addr>().is_err() || zone.is_empty() {
                 return Err("expected an IPv6 address in the brackets, as in tcp://[::1]:4001");
             }
-            let port = match rest {
-                "" => None,
-                rest => Some(rest.strip_prefix(':').ok_or(MISSING_PORT)?),
-            };
-            (host, port)
+            host
         }
-        None => {
-            let (host, port) = match authority.rsplit_once(':') {
-                Some((host, port)) => (host, Some(port)),
-                None => (authority, None),
-            };
-            if host.contains(':') {
-                return Err("expected brackets around the IPv6 address, as in tcp://[::1]:4001");
-            }
-            if host.is_empty() {
-                return Err("the host is missing, as in tcp://HOST:PORT");
-            }
-            if !host.bytes().all(|byte| byte.is_ascii_alphanumeric() || b".-_".contains(&byte)) {
-                return Err("expected a host name or an address between tcp:// and the port");
-            }
-            (host, port)
+        None if host.contains(':') => return Err(BRACKETS),
+        None if host.is_empty() => return Err("the host is missing, as in tcp://HOST:PORT"),
+        None if host.bytes().all(|byte| byte.is_ascii_alphanumeric() || b".-_".contains(&byte)) => {
+            host
         }
+        None => return Err("expected a host name or an address between tcp:// and the port"),
     };
     let port = match port {
         None => Some(SENSOR_PORT),
-        Some("") => return Err(MISSING_PORT),
         Some(digits) if is_number(digits) => digits.parse().ok().filter(|port| *port != 0),
         Some(_) => None,
     };
-    let port =
-        port.ok_or("expected a TCP port from 1 to 65535, with nothing but ?baud=N after it")?;
+    let port = port.ok_or("expected a TCP port from 1 to 65535, as in tcp://HOST:PORT?baud=N")?;
     Ok(Endpoint::Tcp { host: host.to_owned(), port, baud_rate })
 }
 
 const EMPTY: &str = "it is empty; expected a device path, serial:NUMBER or tcp://HOST:PORT";
-const MISSING_PORT: &str = "the TCP port is missing, as in tcp://HOST:PORT";
+const BRACKETS: &str = "expected brackets around the IPv6 address, as in tcp://[::1]:4001";
 
 fn parse_query(query: &str) -> Result<BaudRate, &'static str> {
     let baud_rate =

@@ -76,33 +76,14 @@ mod tests {
     }
 
     #[test]
-    fn a_dropped_runtime_waits_for_no_call() {
-        let (end, [call, port]) = hanging();
+    fn a_hanging_call_delays_neither_runtime_nor_program() {
+        let [(end_call, call), (end_port, port)] = [mpsc::channel(), mpsc::channel()];
         let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
-        let mut ended = runtime.block_on(async { run_on(move || drop(call)) }).unwrap();
-        runtime.spawn(async move {
-            let _port = DroppedOn(Some(port));
-            std::future::pending::<()>().await;
-        });
-        runtime.block_on(tokio::task::yield_now());
+        let mut ended = runtime.block_on(async { run_on(move || drop(Hanging(call))) }).unwrap();
         drop(runtime);
+        drop_on(Hanging(port));
         assert_eq!(ended.try_recv(), Err(oneshot::error::TryRecvError::Empty));
-        drop(end);
+        drop((end_call, end_port));
         ended.blocking_recv().unwrap();
-    }
-
-    struct DroppedOn(Option<Hanging>);
-
-    impl Drop for DroppedOn {
-        fn drop(&mut self) {
-            if let Some(port) = self.0.take() {
-                drop_on(port);
-            }
-        }
-    }
-
-    fn hanging() -> ([mpsc::Sender<()>; 2], [Hanging; 2]) {
-        let [(first, one), (second, other)] = [mpsc::channel(), mpsc::channel()];
-        ([first, second], [Hanging(one), Hanging(other)])
     }
 }
