@@ -1,11 +1,10 @@
-//! [`ErrorKind`]: what can fail, and the sentence that says so.
+//! [`ErrorKind`]: what can fail, and the sentence that says so. [`Operation`]: what a failed command was for.
 
 use std::fmt;
 use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::Operation;
 use crate::protocol::{BaudRate, MalformedError, Protocol, Text};
 
 /// What failed, as [`Error::kind`](crate::Error::kind) returns it.
@@ -174,6 +173,22 @@ pub enum ErrorKind {
         /// That error.
         source: Arc<dyn std::error::Error + Send + Sync>,
     },
+}
+
+/// What the driver wanted of the sensor when a command failed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Operation {
+    /// To know which sensor it is.
+    Identify,
+    /// To switch the laser on.
+    LaserOn,
+    /// To switch the laser off.
+    LaserOff,
+    /// To change the baud rate.
+    SetBaudRate,
+    /// To get a scan, or to know whether the sensor answers.
+    Scan,
 }
 
 impl ErrorKind {

@@ -3,16 +3,14 @@
 
 mod chain;
 mod kind;
-mod operation;
 
 use std::fmt;
 use std::io;
 use std::sync::Arc;
 
 pub use self::chain::ErrorChain;
-pub use self::kind::ErrorKind;
 use self::kind::Sentence;
-pub use self::operation::Operation;
+pub use self::kind::{ErrorKind, Operation};
 use crate::protocol::{MalformedError, ParameterError, ReplyError, WindowError};
 
 /// Why an operation failed, and what to do about it.

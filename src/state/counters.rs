@@ -26,7 +26,7 @@ pub(crate) struct Counted {
     /// Latest error since the last scan.
     pub(super) error: Option<Error>,
     /// True while the laser is switched off by request.
-    pub(super) is_laser_off: bool,
+    pub(crate) is_laser_off: bool,
 }
 
 impl Counters {
@@ -59,11 +59,6 @@ impl Counters {
         let read = schedules.iter().filter(|(_, ring)| is_read(ring));
         stats.schedules.extend(read.map(|(schedule, _)| *schedule));
         stats
-    }
-
-    /// Records whether the laser is switched off by request.
-    pub(crate) fn set_laser_off(&self, is_off: bool) {
-        self.stats().is_laser_off = is_off;
     }
 
     /// Records why there is no scan.

@@ -139,10 +139,7 @@ impl LinkState {
 
     /// Error of calls after the driver has ended.
     pub(crate) fn cause(&self) -> Error {
-        match &*self.state.borrow() {
-            State::Closed { error: Some(error) } => error.clone(),
-            _ => self.error(ErrorKind::Closed),
-        }
+        self.trouble().unwrap_or_else(|| self.error(ErrorKind::Closed))
     }
 
     /// Waits until the driver has ended, and returns the error of later calls.

@@ -274,14 +274,29 @@ async fn a_stream_outlives_errors_until_closed() {
 #[tokio::test(start_paused = true)]
 async fn the_time_that_replies_take_is_reported() {
     let emulator = truthful().pace(Pace::AtOnce).build();
-    let sensor = open(&emulator).await;
-    emulator.set_faults(Faults::none().at(1, Fault::Late(ms(90))));
-    for _ in 0..3 {
-        sensor.scan(Window::DETECTION).await.unwrap();
+    let patient = builder().reply_latency(Duration::from_secs(3600));
+    let sensor = patient.connect(emulator.clone()).await.unwrap();
+    assert_eq!(sensor.stats().reply_latency.quantile(0.5), Duration::ZERO);
+    let mut latencies = Vec::new();
+    // From a millisecond to a minute.
+    for late in (0..225).map(|n| Duration::from_millis(1).mul_f64(1.05_f64.powi(n))) {
+        emulator.set_faults(Faults::none().at(0, Fault::Late(late)));
+        sensor.scan(Window::new(384..=384).unwrap()).await.unwrap();
+        let last = sensor.stats().reply_latency.last;
+        assert!((late..=late + ms(2)).contains(&last), "{late:?}: {last:?}");
+        latencies.push(last);
     }
-    let latency = sensor.stats().reply_latency;
-    assert_eq!(latency.count, 3);
-    assert!(latency.max - latency.min >= ms(80), "{latency:?}");
+    let (stats, count) = (sensor.stats().reply_latency, latencies.len() as f64);
+    let ends = (stats.min, stats.max, stats.total);
+    assert_eq!(ends, (latencies[0], latencies[224], latencies.iter().sum()));
+    for (rank, exact) in latencies.into_iter().enumerate() {
+        let found = stats.quantile((rank as f64 + 0.5) / count);
+        let most = exact.mul_f64(1.125) + Duration::from_micros(64);
+        let most = if exact > Duration::from_secs(16) { stats.max } else { most };
+        assert!((exact..=most).contains(&found), "{exact:?}: {found:?}");
+    }
+    assert_eq!((stats.quantile(1.0), stats.quantile(7.0)), (stats.max, stats.max));
+    assert!(stats.quantile(f64::NAN) >= stats.min);
 }
 
 #[tokio::test(start_paused = true)]
