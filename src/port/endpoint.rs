@@ -109,16 +109,15 @@ impl FromStr for Endpoint {
 impl Endpoint {
     /// Takes the path for a serial port, whatever it looks like.
     fn from_path(path: &Path) -> Result<Self, Error> {
-        let endpoint = match path.to_str() {
-            Some("") => Err(EMPTY),
+        let reason = match path.to_str() {
+            Some("") => EMPTY,
             Some(path) if path.contains(char::is_control) => {
-                Err("remove the control characters from the path")
+                "remove the control characters from the path"
             }
-            Some(path) => Ok(Self::Serial(path.to_owned())),
-            None => Err("a path to a serial port must be UTF-8"),
+            Some(path) => return Ok(Self::Serial(path.to_owned())),
+            None => "a path to a serial port must be UTF-8",
         };
-        let text = || path.display().to_string();
-        Ok(endpoint.map_err(|reason| ErrorKind::InvalidEndpoint { text: text(), reason })?)
+        Err(ErrorKind::InvalidEndpoint { text: path.display().to_string(), reason }.into())
     }
 }
 
@@ -161,7 +160,10 @@ fn parse(text: &str) -> Parsed {
         return Err("expected tcp://HOST or tcp://HOST:PORT, the only addresses with ://");
     }
     if let Some(number) = text.strip_prefix("serial:") {
-        return serial_number(number);
+        if number.is_empty() || !number.bytes().all(|byte| byte.is_ascii_graphic()) {
+            return Err("expected a serial number without spaces, as in serial:H0713090");
+        }
+        return Ok(Endpoint::SerialNumber(number.to_owned()));
     }
     // Without this, HOST:PORT without tcp:// would pass for a file name.
     if !text.contains(['/', '\\']) && text.rsplit_once(':').is_some_and(|(_, end)| is_number(end)) {
@@ -171,16 +173,6 @@ fn parse(text: &str) -> Parsed {
         return Err("expected tcp://HOST for a sensor on Ethernet");
     }
     Ok(Endpoint::Serial(text.to_owned()))
-}
-
-fn serial_number(number: &str) -> Parsed {
-    if number.is_empty() {
-        return Err("expected a serial number after serial:, as in serial:H0713090");
-    }
-    if !number.bytes().all(|byte| byte.is_ascii_graphic()) {
-        return Err("expected printable ASCII without spaces after serial:, as in serial:H0713090");
-    }
-    Ok(Endpoint::SerialNumber(number.to_owned()))
 }
 
 fn parse_tcp(address: &str) -> Parsed {
