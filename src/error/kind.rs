@@ -1,4 +1,4 @@
-//! [`ErrorKind`]: what can fail, and the sentence that says so. [`Operation`]: what a failed command was for.
+//! [`ErrorKind`]: what can fail, and the sentence that says so.
 
 use std::fmt;
 use std::io;
@@ -261,10 +261,10 @@ impl fmt::Display for Sentence<'_> {
                 "no sensor with serial number {serial_number} on any port: plug it in, and stop other programs that have its port open (busy ports are skipped)"
             ),
             ErrorKind::NoAnswer { baud_rate, searched, bytes, words } => {
-                write!(f, "{sensor} does not answer")?;
-                f.write_str(if *searched { " at any baud rate" } else { "" })?;
-                f.write_str(
-                    ": check its power and the wiring (after power-up it is silent for some seconds)",
+                let wherever = if *searched { " at any baud rate" } else { "" };
+                write!(
+                    f,
+                    "{sensor} does not answer{wherever}: check its power and the wiring (after power-up it is silent for some seconds)"
                 )?;
                 if let Some(baud_rate) = baud_rate {
                     write!(
@@ -272,7 +272,7 @@ impl fmt::Display for Sentence<'_> {
                         ", and the baud rate of the serial server ({baud_rate} in its address): it must be the sensor's, which is 19200 after power-up"
                     )?;
                 }
-                if sensor.to_string().starts_with("tcp://") {
+                if sensor.starts_with("tcp://") {
                     f.write_str(
                         ", and stop other programs that are connected to it: it may serve only one",
                     )?;

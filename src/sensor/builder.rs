@@ -16,12 +16,9 @@ use crate::{BaudRate, Error, ErrorKind, State};
 
 /// Longest time that you can set, so that no instant overflows.
 const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
-/// A shorter wait would be a busy loop.
-const SHORTEST_BACKOFF: Duration = Duration::from_millis(10);
-
-/// A shorter time limit would be a busy loop while the driver searches for a silent sensor.
-const SHORTEST_LATENCY: Duration = Duration::from_millis(10);
-
+/// A shorter wait would be a busy loop, and so would a shorter time limit while the driver searches for
+/// a silent sensor.
+const SHORTEST: Duration = Duration::from_millis(10);
 /// A shorter interval would keep the line busy with probes.
 const SHORTEST_PROBE: Duration = Duration::from_millis(100);
 
@@ -133,7 +130,7 @@ impl SensorBuilder {
     /// than the next delay, the delay is the shortest again.
     pub fn backoff(mut self, range: RangeInclusive<Duration>) -> Self {
         let (shortest, longest) = range.into_inner();
-        let shortest = shortest.clamp(SHORTEST_BACKOFF, LONGEST);
+        let shortest = shortest.clamp(SHORTEST, LONGEST);
         self.config.backoff = (shortest, longest.clamp(shortest, LONGEST));
         self
     }
@@ -172,7 +169,7 @@ impl SensorBuilder {
     /// Sets how long the sensor may take to answer, in addition to the time on the line. Default:
     /// 500 ms for `G` and 1 s for the other commands. Clamped to 10 ms and a day.
     pub fn reply_latency(mut self, latency: Duration) -> Self {
-        self.config.reply_latency = Some(latency.clamp(SHORTEST_LATENCY, LONGEST));
+        self.config.reply_latency = Some(latency.clamp(SHORTEST, LONGEST));
         self
     }
 

@@ -80,10 +80,7 @@ impl Freshness {
 
 #[cfg(feature = "serde")]
 fn age<S: serde::Serializer>(at: &Option<Instant>, serializer: S) -> Result<S::Ok, S::Error> {
-    match at {
-        Some(at) => super::elapsed(at, serializer),
-        None => serializer.serialize_none(),
-    }
+    serde::Serialize::serialize(&at.map(|at| at.elapsed().as_secs_f64()), serializer)
 }
 
 /// Error of [`Freshness::check`]: the last good scan is too old.

@@ -84,17 +84,12 @@ pub(super) fn chain_if_any<S: serde::Serializer>(
     error: &Option<Error>,
     serializer: S,
 ) -> Result<S::Ok, S::Error> {
-    match error {
-        Some(error) => chain(error, serializer),
-        None => serializer.serialize_none(),
-    }
+    let text = error.as_ref().map(|error| crate::ErrorChain(error).to_string());
+    serde::Serialize::serialize(&text, serializer)
 }
 
 /// Serialises an instant as its age: instants mean nothing in another process.
 #[cfg(feature = "serde")]
-pub(super) fn elapsed<S: serde::Serializer>(
-    since: &Instant,
-    serializer: S,
-) -> Result<S::Ok, S::Error> {
+fn elapsed<S: serde::Serializer>(since: &Instant, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_f64(since.elapsed().as_secs_f64())
 }

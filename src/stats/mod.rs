@@ -21,12 +21,10 @@
 //! ```
 
 mod latency;
-mod motor;
 #[expect(clippy::module_inception, reason = "it is named after its type")]
 mod stats;
 
 pub use self::latency::LatencyStats;
-pub use self::motor::MotorStats;
 #[doc(no_inline)]
 pub use self::stats::Stats;
-pub use self::stats::{MalformedCounts, ScheduleStats, Shortfall};
+pub use self::stats::{MalformedCounts, MotorStats, ScheduleStats, Shortfall};

@@ -148,6 +148,9 @@ fn a_serialized_error_has_all_its_causes() {
 async fn a_state_is_serialized_without_instants() {
     let data = |state: &State| serde_json::to_value(state).unwrap();
     let (sensor, emulator) = sensor().await;
+    let fresh = |sensor: &Sensor| serde_json::to_value(sensor.freshness()).unwrap();
+    assert_eq!(fresh(&sensor), json!({"age": null, "error": null}));
+    sensor.scan(Window::DETECTION).await.unwrap();
     let connected = json!({
         "state": "connected", "baud_rate": null, "streaming": false, "serial_number": "H0713090"
     });
@@ -160,6 +163,8 @@ async fn a_state_is_serialized_without_instants() {
     assert_eq!(lost["state"], "disconnected");
     assert!((2.9..3.1).contains(&lost["since"].as_f64().unwrap()), "{lost}");
     assert!(lost["error"].as_str().unwrap().contains("no port"), "{lost}");
+    assert!((2.9..3.2).contains(&fresh(&sensor)["age"].as_f64().unwrap()));
+    assert_eq!(fresh(&sensor)["error"], lost["error"]);
     sensor.close().await;
     assert_eq!(data(&sensor.watch_state().get()), json!({"state": "closed", "error": null}));
 }
