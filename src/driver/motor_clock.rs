@@ -31,8 +31,8 @@ use crate::stats::MotorStats;
 /// Time constant of the fit in seconds.
 const MEMORY: f64 = 6.0;
 /// Weight of an arrival below the line. An arrival above it has weight 1.
-const EARLY_WEIGHT: f64 = 40.0;
-/// Standard deviation in seconds of arrivals that USB delays by up to a frame.
+pub(super) const EARLY_WEIGHT: f64 = 40.0;
+/// Standard deviation in seconds of arrivals that USB delays by up to a frame, and of whole milliseconds.
 const DEVIATION: f64 = 0.3e-3;
 /// The gate in seconds, without the uncertainty of the line.
 const GATE: f64 = 1.5e-3;
@@ -66,70 +66,139 @@ pub(crate) struct Revolution {
     pub(crate) period: Option<Duration>,
 }
 
+/// Line by least squares, which forgets. Its sums count from its latest point.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Line {
+    /// Value at the latest point, and change of the value in one unit.
+    pub(super) value: f64,
+    pub(super) slope: f64,
+    /// Sums of `w`, `w x` and `w x²` over all points with their weights `w`.
+    sums: [f64; 3],
+}
+
+impl Line {
+    /// Line through one point, whose slope is known to within this deviation.
+    pub(super) fn new(value: f64, slope: f64, slope_deviation: f64) -> Self {
+        let deviation = slope_deviation / DEVIATION;
+        Self { value, slope, sums: [1.0, 0.0, 1.0 / (deviation * deviation)] }
+    }
+
+    /// Moves on by `ahead` units, with this part of the sums forgotten.
+    pub(super) fn advance(&mut self, ahead: f64, forgotten: f64) {
+        let kept = 1.0 / (1.0 + forgotten.max(0.0));
+        let [w, wx, wxx] = self.sums.map(|sum| sum * kept);
+        let moved = wx - ahead * w;
+        self.value += self.slope * ahead;
+        self.sums = [w, moved, wxx - ahead * (wx + moved)];
+    }
+
+    /// Standard deviation of the value. Not a number if rounding has made the determinant negative.
+    pub(super) fn deviation(&self) -> f64 {
+        let [w, wx, wxx] = self.sums;
+        DEVIATION * (wxx / (w * wxx - wx * wx)).sqrt()
+    }
+
+    /// Adds a point that is this far above the line.
+    pub(super) fn add(&mut self, above: f64, weight: f64) {
+        let [w, wx, wxx] = self.sums;
+        self.sums = [w + weight, wx, wxx];
+        let gain = weight * above / ((w + weight) * wxx - wx * wx);
+        self.slope -= wx * gain;
+        self.value += wxx * gain;
+    }
+
+    /// Moves to another value, which this many points agree on. Keeps what is known of the slope.
+    fn jump(&mut self, value: f64, points: u32) {
+        let [w, wx, wxx] = self.sums;
+        self.value = value;
+        self.sums = [points.into(), 0.0, wxx - wx * wx / w];
+    }
+}
+
+/// How late most recent misfits are, and their votes (the majority vote of Boyer and Moore).
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Misfits {
+    late: f64,
+    pub(super) votes: u32,
+}
+
+impl Misfits {
+    /// Counts one that is this late. It agrees with others to within `gate`.
+    pub(super) fn count(&mut self, late: f64, gate: f64) {
+        let Self { late: agreed, votes } = *self;
+        (self.late, self.votes) = match votes {
+            0 => (late, 1),
+            _ if (late - agreed).abs() > gate => (agreed, votes - 1),
+            _ => (agreed + (late - agreed) / f64::from(votes + 1), votes + 1),
+        };
+    }
+}
+
 /// Line through the ends of revolutions. Its times are in seconds from `origin`.
 #[derive(Debug, Clone)]
 pub(crate) struct MotorClock {
     origin: Instant,
-    /// Seconds per revolution: from the firmware line, and as fitted.
+    /// Seconds per revolution, from the firmware line.
     nominal: f64,
-    period: f64,
-    /// End of the latest revolution on the line.
-    end: f64,
-    /// Sums of `w`, `w x` and `w x²` over all replies, with their weights `w` and their distances `x`
-    /// from `end` in revolutions.
-    sums: [f64; 3],
+    /// Ends of revolutions by their number.
+    line: Line,
     /// Part of the recent replies that fit.
     fitting: f64,
     /// Time from the poll to the end of the revolution before a reply followed the motor.
     wait: f64,
-    /// How late most recent misfits are, and their votes (the majority vote of Boyer and Moore).
-    misfits: (f64, u32),
+    misfits: Misfits,
     jumps: u64,
 }
 
 impl MotorClock {
     /// Creates a clock of a motor whose revolution nominally takes this long.
     pub(crate) fn new(nominal: Duration) -> Self {
-        let (origin, nominal) = (Instant::now(), nominal.as_secs_f64());
-        let (period, sums, misfits) = (nominal, [0.0; 3], (0.0, 0));
-        Self { origin, nominal, period, end: 0.0, sums, fitting: 0.0, wait: 0.0, misfits, jumps: 0 }
+        let nominal = nominal.as_secs_f64();
+        Self {
+            origin: Instant::now(),
+            nominal,
+            // The first reply starts it, as after a pause.
+            line: Line::new(f64::NEG_INFINITY, nominal, NOMINAL_DEVIATION * nominal),
+            fitting: 0.0,
+            wait: 0.0,
+            misfits: Misfits::default(),
+            jumps: 0,
+        }
     }
 
     /// Adds a reply whose first byte arrived at `arrived`.
     pub(crate) fn observe(&mut self, requested: Instant, arrived: Instant) -> Revolution {
         let seconds = |at: Instant| at.saturating_duration_since(self.origin).as_secs_f64();
         let (requested, arrived) = (seconds(requested), seconds(arrived));
-        let since = arrived - self.end;
+        let mut line = self.line;
+        let since = arrived - line.value;
         // Rounds without a call of libm.
-        let turns = ((since / self.period + 0.5) as i64) as f64;
-        let lag = since - turns * self.period;
-        let [w, wx, wxx] = self.sums_at(since, turns);
-        // Not a number without a line, or if rounding has made the determinant negative.
-        let gate = GATE + 3.0 * DEVIATION * (wxx / (w * wxx - wx * wx)).sqrt();
-        if gate.is_nan() || gate > self.period / 4.0 || since > LONGEST_PAUSE {
+        let turns = ((since / line.slope + 0.5) as i64) as f64;
+        line.advance(turns, since / MEMORY);
+        let lag = arrived - line.value;
+        let gate = GATE + 3.0 * line.deviation();
+        if gate.is_nan() || gate > line.slope / 4.0 || since > LONGEST_PAUSE {
             return self.start(arrived);
         }
         if lag.abs() > gate {
             return self.judge_misfit(requested, arrived, lag, gate);
         }
-        self.misfits = (0.0, 0);
+        self.misfits = Misfits::default();
         // While the period is unknown, an early arrival says nothing about the edge.
         let weight = if lag < 0.0 && self.is_used() { EARLY_WEIGHT } else { 1.0 };
-        self.sums = [w + weight, wx, wxx];
-        let gain = weight * lag / ((w + weight) * wxx - wx * wx);
-        self.period -= wx * gain;
-        if (self.period - self.nominal).abs() > LARGEST_DIFFERENCE * self.nominal {
+        line.add(lag, weight);
+        if (line.slope - self.nominal).abs() > LARGEST_DIFFERENCE * self.nominal {
             return self.start(arrived);
         }
-        self.end = arrived - lag + wxx * gain;
-        self.count_fit(turns, self.end - requested);
-        self.revolution(Some(arrived - self.end))
+        self.line = line;
+        self.count_fit(turns, line.value - requested);
+        self.revolution(Some(arrived - line.value))
     }
 
     /// What is known about the motor, while the line is used.
     pub(crate) fn stats(&self) -> Option<MotorStats> {
         self.is_used().then(|| MotorStats {
-            revolution: duration(self.period),
+            revolution: duration(self.line.slope),
             jumps: self.jumps,
             clock_drift_ppm: None,
         })
@@ -139,14 +208,6 @@ impl MotorClock {
         self.fitting >= USED
     }
 
-    /// Returns the sums, faded after `since`, with distances from `turns` revolutions ahead.
-    fn sums_at(&self, since: f64, turns: f64) -> [f64; 3] {
-        let fade = 1.0 / (1.0 + since.max(0.0) / MEMORY);
-        let [w, wx, wxx] = self.sums.map(|sum| sum * fade);
-        let ahead = wx - turns * w;
-        [w, ahead, wxx - turns * (wx + ahead)]
-    }
-
     /// Counts a reply that fits. Its revolution ended `wait` seconds after the poll.
     fn count_fit(&mut self, turns: f64, wait: f64) {
         let is_unproved = self.fitting < UNPROVED;
@@ -154,8 +215,8 @@ impl MotorClock {
             self.wait = wait;
         }
         // A reply that is late by a whole revolution has not moved.
-        let moved = (wait - self.wait) / self.period;
-        let has_moved = (moved - moved.round()).abs() * self.period > MOVED;
+        let moved = (wait - self.wait) / self.line.slope;
+        let has_moved = (moved - moved.round()).abs() * self.line.slope > MOVED;
         let follows_motor = (1.0..=MOST_TURNS).contains(&turns) && (wait > LONG_WAIT || has_moved);
         if is_unproved || self.is_used() || follows_motor {
             self.fitting += (1.0 - self.fitting) / RECENT;
@@ -167,42 +228,29 @@ impl MotorClock {
     fn judge_misfit(&mut self, requested: f64, arrived: f64, lag: f64, gate: f64) -> Revolution {
         let was_used = self.is_used();
         self.fitting -= self.fitting / RECENT;
-        let late = if lag < 0.0 { lag + self.period } else { lag };
-        let (agreed, votes) = self.misfits;
-        self.misfits = match votes {
-            0 => (late, 1),
-            _ if (late - agreed).abs() > gate => (agreed, votes - 1),
-            _ => (agreed + (late - agreed) / f64::from(votes + 1), votes + 1),
-        };
-        let (agreed, votes) = self.misfits;
-        let end = arrived - late;
+        let period = self.line.slope;
+        let late = if lag < 0.0 { lag + period } else { lag };
+        self.misfits.count(late, gate);
+        let (end, votes) = (arrived - late, self.misfits.votes);
         if votes == JUMP {
             self.jumps += u64::from(was_used);
-            self.set_phase(end + agreed, JUMP.into());
+            self.line.jump(end + self.misfits.late, JUMP);
+            self.misfits = Misfits::default();
         }
         // The sensor answers when the first revolution after a poll ends.
-        let is_late = lag > 0.0 && votes < 2 && (0.0..self.period).contains(&(end - requested));
+        let is_late = lag > 0.0 && votes < 2 && (0.0..period).contains(&(end - requested));
         self.revolution(is_late.then_some(late))
     }
 
     /// Starts the fit again with one arrival and the nominal period.
     fn start(&mut self, arrived: f64) -> Revolution {
-        (self.period, self.fitting, self.sums) = (self.nominal, 0.0, [0.0; 3]);
-        self.set_phase(arrived, 1.0);
+        self.line = Line::new(arrived, self.nominal, NOMINAL_DEVIATION * self.nominal);
+        (self.fitting, self.misfits) = (0.0, Misfits::default());
         Revolution::default()
     }
 
-    /// Moves the line to a new phase, and keeps what is known about the period.
-    fn set_phase(&mut self, end: f64, weight: f64) {
-        let [w, wx, wxx] = self.sums;
-        let known = if w > 0.0 { wxx - wx * wx / w } else { 0.0 };
-        let deviation = NOMINAL_DEVIATION * self.nominal / DEVIATION;
-        self.sums = [weight, 0.0, known.max(1.0 / (deviation * deviation))];
-        (self.end, self.misfits) = (end, (0.0, 0));
-    }
-
     fn revolution(&self, lateness: Option<f64>) -> Revolution {
-        let period = Some(duration(self.period));
+        let period = Some(duration(self.line.slope));
         let used = Revolution { lateness: lateness.map(duration), is_doubted: false, period };
         if self.is_used() { used } else { Revolution::default() }
     }

@@ -25,7 +25,7 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-use super::motor_clock::{Revolution, duration};
+use super::motor_clock::{EARLY_WEIGHT, Line, Misfits, Revolution, duration};
 use crate::stats::MotorStats;
 
 /// Number of scans that each fit remembers, and the longest time in seconds that it remembers the motor:
@@ -33,8 +33,6 @@ use crate::stats::MotorStats;
 const MEMORY: f64 = 1000.0;
 const MOTOR_MEMORY: f64 = 100.0;
 const LONGEST_MOTOR_MEMORY: f64 = 20.0;
-/// Standard deviation in seconds of arrivals in frames, and of whole milliseconds.
-const DEVIATION: f64 = 0.3e-3;
 /// Standard deviation of a clock's rate and of a motor's period, as parts of them.
 const RATE_DEVIATION: f64 = 0.002;
 const PERIOD_DEVIATION: f64 = 0.003;
@@ -45,8 +43,6 @@ const MOTOR_GATE: f64 = 1.2e-3;
 /// Standard deviation in seconds above which the line starts again: after a pause, if the clock's rate
 /// was not known well.
 const LARGEST_DEVIATION: f64 = 0.2e-3;
-/// Weight of an arrival below the line. An arrival above it has weight 1.
-const EARLY_WEIGHT: f64 = 40.0;
 /// The fit starts again after a pause of this many seconds.
 const LONGEST_PAUSE: f64 = 30.0;
 /// Number of agreeing late arrivals, less the others, that mean a jump of a clock that has left the
@@ -58,47 +54,6 @@ const DOUBTED: u32 = 2;
 const LOST: u32 = 50;
 /// Number of arrivals that fit, less the late ones, until the lines are used.
 const FIRST: u32 = 20;
-
-/// Line by least squares, which forgets. Its sums count from its latest point.
-#[derive(Debug, Clone, Copy)]
-struct Line {
-    /// Value at the latest point, and change of the value in one unit.
-    value: f64,
-    slope: f64,
-    /// Sums of `w`, `w x` and `w x²` over all points with their weights `w`.
-    sums: [f64; 3],
-}
-
-impl Line {
-    /// Line through one point, whose slope is known to within this deviation.
-    fn new(value: f64, slope: f64, slope_deviation: f64) -> Self {
-        let deviation = slope_deviation / DEVIATION;
-        Self { value, slope, sums: [1.0, 0.0, 1.0 / (deviation * deviation)] }
-    }
-
-    /// Moves on by `ahead` units, with this part of the sums forgotten.
-    fn advance(&mut self, ahead: f64, forgotten: f64) {
-        let [w, wx, wxx] = self.sums.map(|sum| sum / (1.0 + forgotten.max(0.0)));
-        let moved = wx - ahead * w;
-        self.value += self.slope * ahead;
-        self.sums = [w, moved, wxx - ahead * (wx + moved)];
-    }
-
-    /// Standard deviation of the value.
-    fn deviation(&self) -> f64 {
-        let [w, wx, wxx] = self.sums;
-        DEVIATION * (wxx / (w * wxx - wx * wx)).sqrt()
-    }
-
-    /// Adds a point that is this far above the line.
-    fn add(&mut self, above: f64, weight: f64) {
-        let [w, wx, wxx] = self.sums;
-        self.sums = [w + weight, wx, wxx];
-        let gain = weight * above / ((w + weight) * wxx - wx * wx);
-        self.slope -= wx * gain;
-        self.value += wxx * gain;
-    }
-}
 
 /// What is known while a stream runs. Times are in seconds from `origin`.
 #[derive(Debug, Clone)]
@@ -125,8 +80,7 @@ struct Lines {
     /// True if a revolution has left the motor's line, and no arrival has fitted since: then the clock
     /// may have jumped.
     has_moved: bool,
-    /// How late most recent misfits are, and their votes (the majority vote of Boyer and Moore).
-    misfits: (f64, u32),
+    misfits: Misfits,
     /// Number of misfits since an arrival has fitted, without those that came at once after another.
     misfits_in_row: u32,
     /// How late the latest arrival was.
@@ -173,7 +127,7 @@ impl SensorClock {
             return self.start(clock, arrived);
         }
         if late <= gate {
-            (lines.misfits, lines.misfits_in_row, lines.has_moved) = ((0.0, 0), 0, false);
+            (lines.misfits, lines.misfits_in_row, lines.has_moved) = (Misfits::default(), 0, false);
             let weight = if late < 0.0 && lines.is_used() { EARLY_WEIGHT } else { 1.0 };
             lines.arrivals.add(late, weight);
             lines.count += 1;
@@ -225,7 +179,7 @@ impl SensorClock {
             motor: Line::new(arrived, self.nominal, PERIOD_DEVIATION * self.nominal),
             count: 0,
             has_moved: false,
-            misfits: (0.0, 0),
+            misfits: Misfits::default(),
             misfits_in_row: 0,
             late: 0.0,
         });
@@ -241,13 +195,8 @@ impl Lines {
     /// Judges an arrival that is late by more than the gate: the host is busy unless several agree, or
     /// none fits any more.
     fn is_jump(&mut self, late: f64, gate: f64) -> bool {
-        let (agreed, votes) = self.misfits;
-        self.misfits = match votes {
-            0 => (late, 1),
-            _ if (late - agreed).abs() > gate => (agreed, votes - 1),
-            _ => (agreed + (late - agreed) / f64::from(votes + 1), votes + 1),
-        };
-        self.has_moved && self.misfits.1 >= JUMP || self.misfits_in_row >= LOST
+        self.misfits.count(late, gate);
+        self.has_moved && self.misfits.votes >= JUMP || self.misfits_in_row >= LOST
     }
 
     fn revolution(&self, arrived: f64) -> Revolution {
