@@ -163,11 +163,9 @@ impl RequestQueue {
         self.waiting.iter_mut().for_each(|waiting| waiting.expires = expires);
     }
 
-    /// Waits until [`pop`](Self::pop) has a request.
+    /// Waits until [`pop`](Self::pop), which has returned `None`, has a request.
     pub(crate) fn poll_ready(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), Abandoned>> {
-        if self.waiting.is_empty() && self.next.is_none() {
-            self.next = Some(ready!(self.receiver.poll_recv(cx)).ok_or(Abandoned)?);
-        }
+        self.next = Some(ready!(self.receiver.poll_recv(cx)).ok_or(Abandoned)?);
         Poll::Ready(Ok(()))
     }
 
@@ -223,25 +221,7 @@ impl DesiredSettings {
 
 #[cfg(test)]
 mod tests {
-    use std::future::poll_fn;
-
-    use futures::FutureExt;
-
     use super::*;
-
-    #[tokio::test(start_paused = true)]
-    async fn a_waiting_request_is_ready_with_a_link() {
-        let (sender, receiver) = mpsc::channel(2);
-        let mut queue = RequestQueue::new(receiver, Duration::from_secs(1));
-        let ready = poll_fn(|cx| queue.poll_ready(cx)).now_or_never();
-        assert!(ready.is_none(), "no request was sent");
-        let (responder, _answer) = oneshot::channel();
-        assert!(sender.send(Box::new(Request::Link(responder))).await.is_ok());
-        let request = queue.next_unlinked(&LinkState::new(None)).await.unwrap();
-        queue.wait(request);
-        assert!(matches!(poll_fn(|cx| queue.poll_ready(cx)).now_or_never(), Some(Ok(()))));
-        assert!(matches!(queue.pop().unwrap().as_deref(), Some(Request::Link(_))));
-    }
 
     #[tokio::test(start_paused = true)]
     async fn abandoned_requests_do_not_wait_until_they_expire() {

@@ -30,17 +30,10 @@ impl Status {
         matches!(self, Self::OK)
     }
 
-    /// Meaning of this status in answer to `command`, as drivers of real sensors know it.
+    /// Meaning of this refusal of `command`, as drivers of real sensors know it.
     /// The protocol text defines only `0`.
     pub(crate) const fn meaning(self, command: &Command) -> Option<&'static str> {
         match (self.0, command) {
-            (b'0', _) => Some("success"),
-            (b'2', Command::LaserOn | Command::LaserOff) => {
-                Some("the laser is already in that state")
-            }
-            (b'3', Command::BaudRate(_)) => {
-                Some("the sensor is already at that baud rate, or is on USB")
-            }
             (b'6', Command::Distances(_)) => Some("the laser is off"),
             (b'E', _) => Some("the sensor does not know the command"),
             _ => None,

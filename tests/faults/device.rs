@@ -139,6 +139,12 @@ async fn d07_any_refusal_leaves_the_link_clean() {
         let error = sensor.scan(WINDOW).await.unwrap_err();
         let ErrorKind::Refused { status: found, .. } = error.kind() else { panic!("{error:?}") };
         assert_eq!(found.as_bytes(), [status]);
+        let meaning = match status {
+            b'6' => "'6': the laser is off",
+            b'E' => "'E': the sensor does not know the command",
+            _ => "'",
+        };
+        assert!(error.to_string().ends_with(meaning), "{error}");
     }
     let stats = sensor.stats();
     assert_eq!(stats.fence_timeouts, 0);

@@ -28,7 +28,7 @@ pub(super) fn malformed(asked: &impl Asked, source: MalformedError) -> ErrorKind
 }
 
 /// Converts the error of a reply.
-pub(super) fn bad_reply(asked: &impl Asked, error: ReplyError) -> ErrorKind {
+fn bad_reply(asked: &impl Asked, error: ReplyError) -> ErrorKind {
     let source = match error {
         ReplyError::Malformed(source) => source,
         ReplyError::Scip2 { status } => {
@@ -44,12 +44,17 @@ pub(super) fn bad_reply(asked: &impl Asked, error: ReplyError) -> ErrorKind {
     malformed(asked, source)
 }
 
+/// Error of a command that the sensor refused.
+#[cold]
 pub(super) fn refused(
     asked: &impl Asked,
     status: Text,
     meaning: Option<&'static str>,
 ) -> ErrorKind {
-    ErrorKind::Refused { operation: asked.operation(), command: asked.text(), status, meaning }
+    let (operation, command) = (asked.operation(), asked.text());
+    let error = ErrorKind::Refused { operation, command, status, meaning };
+    tracing::trace!(%error, "no answer");
+    error
 }
 
 pub(super) fn not_confirmed(
@@ -81,6 +86,23 @@ pub(super) fn record_silence(
         tracing::trace!(%error, "no answer");
     }
     failure
+}
+
+/// Counts a malformed reply, of which `skipped` bytes answer nothing, and converts its error.
+#[cold]
+pub(super) fn record_malformed(
+    shared: &Shared,
+    asked: &impl Asked,
+    error: ReplyError,
+    skipped: u64,
+) -> ExchangeError {
+    let mut stats = shared.counters.stats();
+    stats.malformed.count(&error);
+    stats.bytes_skipped += skipped;
+    drop(stats);
+    let error = bad_reply(asked, error);
+    tracing::trace!(%error, "no answer");
+    ExchangeError::Command(error)
 }
 
 /// Names `asked` in the error of a command that was sent on its behalf: the caller knows nothing of

@@ -5,8 +5,7 @@ use std::time::Duration;
 use super::super::super::failure::ExchangeError;
 use super::super::super::observers::ReplyObservers;
 use super::super::super::transport::{Expected, ReceivedFrame, ReplyTimes};
-use super::super::errors::{bad_reply, on_behalf_of, record_silence};
-use super::errors::refused;
+use super::super::errors::{on_behalf_of, record_malformed, record_silence, refused};
 use super::{ANY_SCAN, LIMITS, Scip1};
 use crate::codec::{ExpectedReply, Frame};
 use crate::protocol::{Command, MalformedError, Protocol, Reply, ReplyError, Status};
@@ -85,7 +84,10 @@ impl Scip1 {
                 }
                 Ok(Answer { reply, times })
             }
-            Err(error) => Err(self.record_malformed(command, error, wire_len)),
+            Err(error) => {
+                let skipped = if is_echoed(&error) { 0 } else { wire_len };
+                Err(record_malformed(&self.line.shared, &command, error, skipped))
+            }
         }
     }
 
@@ -112,24 +114,6 @@ impl Scip1 {
     #[cold]
     fn record_refusal(&mut self) {
         self.line.shared.counters.stats().refused += 1;
-    }
-
-    #[cold]
-    fn record_malformed(
-        &mut self,
-        command: Command,
-        error: ReplyError,
-        wire_len: u64,
-    ) -> ExchangeError {
-        let mut stats = self.line.shared.counters.stats();
-        stats.malformed.count(&error);
-        if !is_echoed(&error) {
-            stats.bytes_skipped += wire_len;
-        }
-        drop(stats);
-        let error = bad_reply(&command, error);
-        tracing::trace!(%error, "no answer");
-        ExchangeError::Command(error)
     }
 
     /// Checks whether the reply to `command` came faster than the baud rate allows. The command's echo
@@ -160,9 +144,7 @@ pub(in super::super) fn accepted(
 
 #[cold]
 pub(super) fn refusal(command: &Command, status: Status) -> ExchangeError {
-    let error = refused(command, status);
-    tracing::trace!(%error, "no answer");
-    ExchangeError::Command(error)
+    ExchangeError::Command(refused(command, status.into(), status.meaning(command)))
 }
 
 /// Compares a frame with `command`, and shows it to the observers.

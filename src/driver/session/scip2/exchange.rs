@@ -5,12 +5,12 @@ use std::time::Duration;
 
 use super::super::super::failure::ExchangeError;
 use super::super::super::transport::{Expected, ReplyTimes};
-use super::super::errors::{bad_reply, record_silence, refused};
+use super::super::errors::{record_malformed, record_silence, refused};
 use super::{LIMITS, Scip2};
 use crate::codec::Frame;
 use crate::protocol::scip2::{Command, Content, Reply, Request, Status};
-use crate::protocol::{Protocol, ReplyError, Text};
-use crate::state::{KnownFrame, Shared};
+use crate::protocol::{Protocol, Text};
+use crate::state::KnownFrame;
 use crate::{BaudRate, ErrorKind, RawReply};
 
 /// Length of the longest replies without scans: `VV`, `PP` and `II`.
@@ -42,26 +42,23 @@ impl Answer {
 impl Scip2<'_> {
     /// Sends `command` and returns its reply, whatever its status. Ends the stream first: what a
     /// command does to one depends on the model.
-    pub(super) async fn exchange(
-        &mut self,
-        command: Command,
-        latency: Duration,
-    ) -> Result<Answer, ExchangeError> {
-        self.exchange_as(command, latency, false).await
+    pub(super) async fn exchange(&mut self, command: Command) -> Result<Answer, ExchangeError> {
+        self.exchange_within(self.latency(&command), command, false).await
     }
 
-    /// As [`exchange`](Self::exchange). Observers do not take the reply to a probe for a scan.
-    pub(super) async fn exchange_as(
+    /// As [`exchange`](Self::exchange), with another latency. Observers do not take the reply to a
+    /// probe for a scan.
+    pub(super) async fn exchange_within(
         &mut self,
-        command: Command,
         latency: Duration,
+        command: Command,
         is_probe: bool,
     ) -> Result<Answer, ExchangeError> {
         if self.state.is_streaming() && command != Command::LaserOff {
             self.end_stream().await?;
         }
         let request = Request::new(command, self.state.next_label());
-        let outcome = self.ask_as(&request, latency, is_probe).await;
+        let outcome = self.ask_within(latency, &request, is_probe).await;
         // If the stream still runs, its next scan has a deadline of its own.
         self.expect_scan();
         outcome
@@ -69,18 +66,14 @@ impl Scip2<'_> {
 
     /// Sends `request` and returns its reply. A damaged reply fails: waiting for a better one would
     /// cost the whole deadline.
-    pub(super) async fn ask(
-        &mut self,
-        request: &Request,
-        latency: Duration,
-    ) -> Result<Answer, ExchangeError> {
-        self.ask_as(request, latency, false).await
+    pub(super) async fn ask(&mut self, request: &Request) -> Result<Answer, ExchangeError> {
+        self.ask_within(self.latency(request.command()), request, false).await
     }
 
-    async fn ask_as(
+    async fn ask_within(
         &mut self,
-        request: &Request,
         latency: Duration,
+        request: &Request,
         is_probe: bool,
     ) -> Result<Answer, ExchangeError> {
         let within = self.time_limit(request, latency);
@@ -176,22 +169,6 @@ pub(super) fn is_like_a_stream(frame: &[u8]) -> bool {
     matches!(frame.first(), Some(b'M' | b'N'))
 }
 
-#[cold]
-pub(super) fn record_malformed(
-    shared: &Shared,
-    request: &Request,
-    error: ReplyError,
-    wire_len: u64,
-) -> ExchangeError {
-    let mut stats = shared.counters.stats();
-    stats.malformed.count(&error);
-    stats.bytes_skipped += wire_len;
-    drop(stats);
-    let error = bad_reply(request, error);
-    tracing::trace!(%error, "no answer");
-    ExchangeError::Command(error)
-}
-
 pub(super) fn raw_reply<'a>(
     bytes: &'a [u8],
     request: Option<Request>,
@@ -232,9 +209,7 @@ pub(super) fn accepted(command: &Command, answer: Answer) -> Result<Answer, Exch
 
 /// Error of a command that the sensor refused.
 pub(super) fn refusal(command: &Command, status: Status) -> ErrorKind {
-    let error = refused(&Request::new(*command, None), text(status), status.meaning(command));
-    tracing::trace!(%error, "no answer");
-    error
+    refused(&Request::new(*command, None), text(status), status.meaning(command))
 }
 
 pub(super) fn text(status: Status) -> Text {

@@ -176,7 +176,7 @@ impl Scip2<'_> {
         let mut failure = None;
         for _ in 0..PROBES_AT_A_BAUD_RATE {
             let request = Request::new(Command::LaserOff, self.state.next_label());
-            match self.ask(&request, self.latency(&Command::LaserOff)).await {
+            match self.ask(&request).await {
                 Ok(_) => return Ok(()),
                 Err(ExchangeError::Command(error)) => failure = Some(error),
                 Err(lost) => return Err(lost),
@@ -258,7 +258,8 @@ impl Scip2<'_> {
 
     /// Asks for one step. Any status is an answer.
     pub(super) async fn probe_once(&mut self, latency: Duration) -> Result<Status, ExchangeError> {
-        self.exchange_as(self.one_step(), latency, true).await.map(|answer| answer.status)
+        let answer = self.exchange_within(latency, self.one_step(), true).await;
+        answer.map(|answer| answer.status)
     }
 
     fn one_step(&self) -> Command {
@@ -280,7 +281,7 @@ impl Scip2<'_> {
         }
         self.stop_stray().await?;
         let command = Command::Latest { data: self.state.data, window };
-        let answer = accepted(&command, self.exchange(command, self.latency(&command)).await?)?;
+        let answer = accepted(&command, self.exchange(command).await?)?;
         match answer.content {
             Content::Scan(scan) => Ok(acquired(scan, answer.times)),
             _ => Err(self.no_data(command)),
@@ -317,17 +318,16 @@ impl Scip2<'_> {
         baud_rate: BaudRate,
     ) -> Result<Text, ExchangeError> {
         let command = Command::BaudRate(baud_rate);
-        let answer = self.exchange(command, self.latency(&command)).await?;
-        accepted(&command, answer).map(|answer| text(answer.status))
+        let answer = accepted(&command, self.exchange(command).await?)?;
+        Ok(text(answer.status))
     }
 
     /// Sends a command that may be sent twice, once more if there was no answer, and fails unless the
     /// sensor accepts it.
     async fn ask_twice(&mut self, command: Command) -> Result<Answer, ExchangeError> {
-        let latency = self.latency(&command);
-        let answer = match self.exchange(command, latency).await {
+        let answer = match self.exchange(command).await {
             Err(failure) if failure.is_lost_reply() && !self.line.is_closing() => {
-                self.exchange(command, latency).await
+                self.exchange(command).await
             }
             outcome => outcome,
         };

@@ -13,9 +13,9 @@ use tokio::time::Instant;
 use super::super::super::failure::{ExchangeError, LinkError};
 use super::super::super::schedule::StreamWish;
 use super::super::super::transport::{Expected, ReplyTimes};
-use super::super::errors::record_silence;
+use super::super::errors::{record_malformed, record_silence};
 use super::super::{Acquired, Streamed};
-use super::exchange::{accepted, find_own, is_like_a_stream, raw_reply, record_malformed, refusal};
+use super::exchange::{accepted, find_own, is_like_a_stream, raw_reply, refusal};
 use super::{LIMITS, Scip2, State, acquired};
 use crate::codec::Frame;
 use crate::protocol::ReplyError;
@@ -86,7 +86,7 @@ impl Scip2<'_> {
         let stream = stream.map_err(|error| Error::other(error).into_kind());
         let command = Command::Stream(stream.map_err(ExchangeError::Command)?);
         let request = Request::new(command, self.state.next_label());
-        let answer = self.ask(&request, self.latency(&command)).await;
+        let answer = self.ask(&request).await;
         // Without an answer, nothing tells whether the sensor sends one.
         self.state.has_stray_frames |= answer.is_err();
         let answer = accepted(&command, answer?)?;
@@ -104,7 +104,7 @@ impl Scip2<'_> {
     pub(crate) async fn end_stream(&mut self) -> Result<(), ExchangeError> {
         self.stop().await?;
         let request = Request::new(Command::LaserOn, self.state.next_label());
-        match self.ask(&request, self.latency(request.command())).await {
+        match self.ask(&request).await {
             // The next request shows whether the laser is on.
             Ok(_) | Err(ExchangeError::Command(_)) => Ok(()),
             Err(lost) => Err(lost),
