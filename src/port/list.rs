@@ -72,7 +72,7 @@ pub(super) fn available() -> Result<Vec<SerialPortInfo>, Error> {
     }
     let mut ports =
         tokio_serial::available_ports().map_err(|error| Error::open(THE_LIST, error.into()))?;
-    ports.retain(|port| !is_without_hardware(&port.port_name, Path::new(SYS_CLASS_TTY)));
+    ports.retain(|port| !is_without_hardware(&port.port_name));
     Ok(ports)
 }
 
@@ -80,11 +80,11 @@ const SYS_CLASS_TTY: &str = "/sys/class/tty";
 
 /// Returns true if the kernel has reserved the name but found no UART. A PC with one UART
 /// has 4 or 32 such names.
-fn is_without_hardware(path: &str, sys_class_tty: &Path) -> bool {
+fn is_without_hardware(path: &str) -> bool {
     const UNKNOWN_UART: &str = "0";
     Path::new(path)
         .file_name()
-        .and_then(|name| fs::read_to_string(sys_class_tty.join(name).join("type")).ok())
+        .and_then(|name| fs::read_to_string(Path::new(SYS_CLASS_TTY).join(name).join("type")).ok())
         .is_some_and(|kind| kind.trim() == UNKNOWN_UART)
 }
 

@@ -41,10 +41,8 @@ impl Lookup {
         // Fails if the thread panicked or there is none.
         let outcome = running.wait_for(Option::is_some).await.map(|outcome| outcome.clone());
         self.running = None;
-        match outcome.map_err(io::Error::other)? {
-            Some(outcome) => outcome.map_err(|error| io::Error::new(error.kind(), error)),
-            None => Ok(Vec::new()),
-        }
+        let found = outcome.map_err(io::Error::other)?.unwrap_or_else(|| Ok(Vec::new()));
+        found.map_err(|error| io::Error::new(error.kind(), error))
     }
 }
 

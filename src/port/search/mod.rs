@@ -55,16 +55,14 @@ pub(super) struct Search<P> {
 
 #[derive(Debug, Default)]
 struct Pass {
-    /// Ports that are not opened again.
+    /// Ports that were opened. Others may open at the next try: the system may not have finished with a
+    /// port that has just appeared.
     tried: Vec<String>,
     /// True if opening a port took too long.
     is_hung: bool,
     /// When to give up on busy ports. Kept here, so that a caller that drops its futures early
     /// does not wait for ever.
     busy_until: Option<Instant>,
-    /// Error of a port that the user may not open. The sensor may be on it, so this is
-    /// reported instead of "no such sensor".
-    denied: Option<Error>,
 }
 
 impl<P: Ports> Search<P> {
@@ -85,53 +83,48 @@ impl<P: Ports> Search<P> {
         }
     }
 
-    /// Opens the next port that can be opened. Skips a port that hangs for `OPEN_LIMIT`, and
-    /// one that was being opened when the future was dropped.
+    /// Opens the next port that can be opened. Skips a port that hangs for `OPEN_LIMIT`.
     pub(super) async fn next_port(&mut self) -> Result<P::Port, Error> {
         loop {
             self.listed = self.ports.candidates().await?;
             let pass = self.pass.get_or_insert_default();
             // A port that was plugged in again, or hung, may now have the sensor.
             pass.tried.retain(|path| self.listed.contains(path));
-            let mut is_busy = pass.is_hung;
+            let (mut is_busy, mut denied) = (pass.is_hung, None);
             for path in &self.listed {
                 if pass.tried.contains(path) {
                     continue;
                 }
-                pass.tried.push(path.clone());
                 match timeout(OPEN_LIMIT, self.ports.open(path)).await {
                     Ok(Ok(port)) => {
                         tracing::trace!(path, "checking whether the sensor is on this port");
+                        pass.tried.push(path.clone());
                         pass.busy_until = None;
                         return Ok(port);
                     }
                     Ok(Err(error)) => {
                         tracing::trace!(path, error = %ErrorChain(&error), "port skipped");
+                        is_busy |= matches!(error.kind(), ErrorKind::Busy { .. });
                         if matches!(error.kind(), ErrorKind::PermissionDenied { .. }) {
-                            pass.denied = Some(error);
-                        } else {
-                            // The system may not have finished with a port that has just appeared.
-                            pass.tried.pop();
-                            is_busy |= matches!(error.kind(), ErrorKind::Busy { .. });
+                            // The sensor may be on it.
+                            denied = Some(error);
                         }
                     }
                     Err(_) => {
                         tracing::trace!(path, "port skipped, opening it takes too long");
                         // Its device may return.
-                        pass.tried.pop();
                         (pass.is_hung, is_busy) = (true, true);
                     }
                 }
             }
             let until = *pass.busy_until.get_or_insert_with(|| Instant::now() + BUSY_LIMIT);
             if !is_busy || Instant::now() >= until {
-                break;
+                self.pass = None;
+                let serial_number = self.serial_number.clone();
+                return Err(denied.unwrap_or(ErrorKind::NoSuchSensor { serial_number }.into()));
             }
             sleep(LISTING_INTERVAL).await;
         }
-        let denied = self.pass.take().and_then(|pass| pass.denied);
-        let missing = || ErrorKind::NoSuchSensor { serial_number: self.serial_number.clone() };
-        Err(denied.unwrap_or_else(|| missing().into()))
     }
 }
 
