@@ -4,3 +4,4 @@ mod allocations;
 mod flood;
 mod memory;
 mod nth_failure;
+mod reads;

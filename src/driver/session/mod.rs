@@ -22,9 +22,6 @@ mod identity;
 mod line;
 mod scip1;
 mod scip2;
-#[cfg(test)]
-#[allow(clippy::unwrap_used)]
-mod tests;
 
 use std::sync::Arc;
 use std::task::{Context, Poll};

@@ -10,8 +10,6 @@ mod link;
 mod pause;
 mod received;
 #[cfg(test)]
-pub(super) mod scripted_port;
-#[cfg(test)]
 mod tests;
 mod timer;
 
