@@ -14,7 +14,7 @@ use tokio::time::sleep;
 /// Delay before the next address is tried in parallel (RFC 8305, section 5).
 const ATTEMPT_DELAY: Duration = Duration::from_millis(250);
 
-/// Connects to each of `addresses` with `connect` until one attempt succeeds, and drops
+/// Connects to each of the addresses with `connect` until one attempt succeeds, and drops
 /// the others.
 ///
 /// Has no time limit: waits for an address that neither accepts nor refuses if no other
@@ -25,18 +25,22 @@ const ATTEMPT_DELAY: Duration = Duration::from_millis(250);
 /// Fails after every attempt has failed, with the error of the only address, or with one
 /// that lists all addresses and their errors.
 pub(super) async fn connect_first<T, F>(
-    addresses: Vec<SocketAddr>,
+    mut untried: Vec<SocketAddr>,
     connect: impl Fn(SocketAddr) -> F,
 ) -> io::Result<T>
 where
     T: Send + 'static,
     F: Future<Output = io::Result<T>> + Send + 'static,
 {
-    let mut untried = alternate_families(addresses).into_iter();
     let mut attempts = JoinSet::new();
     let mut failures = Vec::new();
+    let mut is_latest_ipv6 = None;
     loop {
-        if let Some(address) = untried.next() {
+        if !untried.is_empty() {
+            // The families alternate (RFC 8305, section 4): one whole family may be unreachable.
+            let other = untried.iter().position(|next| Some(next.is_ipv4()) == is_latest_ipv6);
+            let address = untried.remove(other.unwrap_or(0));
+            is_latest_ipv6 = Some(address.is_ipv6());
             let attempt = connect(address);
             attempts.spawn(async move { attempt.await.map_err(|error| (address, error)) });
         }
@@ -47,22 +51,9 @@ where
                 Some(Err(failure)) => failures.push(failure),
                 None => return Err(all_failed(failures)),
             },
-            () = sleep(ATTEMPT_DELAY), if untried.len() > 0 => {}
+            () = sleep(ATTEMPT_DELAY), if !untried.is_empty() => {}
         }
     }
-}
-
-/// Reorders addresses so that the two families alternate, beginning with the family of
-/// the first one (RFC 8305, section 4). One whole family may be unreachable.
-fn alternate_families(mut addresses: Vec<SocketAddr>) -> Vec<SocketAddr> {
-    let mut alternating: Vec<SocketAddr> = Vec::with_capacity(addresses.len());
-    while !addresses.is_empty() {
-        let before = alternating.last().map(SocketAddr::is_ipv6);
-        let other = addresses.iter().position(|address| before == Some(address.is_ipv4()));
-        // The very first address, and the rest of the other family once one is used up.
-        alternating.push(addresses.remove(other.unwrap_or(0)));
-    }
-    alternating
 }
 
 fn all_failed(mut failures: Vec<(SocketAddr, io::Error)>) -> io::Error {
@@ -93,7 +84,7 @@ mod tests {
 
     /// Behaves as the TCP port of the address selects.
     async fn fake(address: SocketAddr) -> io::Result<SocketAddr> {
-        match address.port() {
+        match address.port() % 10 {
             HANGS => std::future::pending().await,
             REFUSES => return Err(io::ErrorKind::ConnectionRefused.into()),
             _ => {}
@@ -118,22 +109,13 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn if_all_fail_the_error_lists_every_address() {
-        let error = connect_first(vec![v4(REFUSES), v6(REFUSES)], fake).await.unwrap_err();
+    async fn if_all_fail_the_error_lists_them_in_order() {
+        let error = connect_first(vec![v4(2), v4(12), v4(22), v6(2)], fake).await.unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::ConnectionRefused);
-        assert_eq!(
-            error.to_string(),
-            "10.0.0.1:2: connection refused; [fd00::1]:2: connection refused"
-        );
+        let order = ["10.0.0.1:2", "[fd00::1]:2", "10.0.0.1:12", "10.0.0.1:22"];
+        let expected = order.map(|address| format!("{address}: connection refused"));
+        assert_eq!(error.to_string(), expected.join("; "), "the families alternate");
         let error = connect_first(Vec::new(), fake).await.unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::NotFound);
-    }
-
-    #[test]
-    fn the_families_alternate_and_no_address_is_lost() {
-        let addresses = vec![v6(1), v6(2), v6(3), v4(1)];
-        assert_eq!(alternate_families(addresses), [v6(1), v4(1), v6(2), v6(3)]);
-        let addresses = vec![v4(1), v6(1), v6(2), v6(3)];
-        assert_eq!(alternate_families(addresses), [v4(1), v6(1), v6(2), v6(3)]);
     }
 }
