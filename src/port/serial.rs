@@ -9,7 +9,7 @@ use std::task::{Context, Poll, ready};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::sync::{Mutex, OwnedMutexGuard, oneshot};
-use tokio_serial::{ClearBuffer, DataBits, FlowControl, Parity, StopBits};
+use tokio_serial::ClearBuffer;
 #[cfg(not(unix))]
 use tokio_serial::{SerialPort as _, SerialStream as Tty};
 
@@ -50,13 +50,8 @@ impl SerialPort {
         #[cfg(any(target_os = "linux", target_os = "android"))]
         respect_locks();
         let baud_rate = BaudRate::B19200;
-        let builder = tokio_serial::new(path, baud_rate.bits_per_second())
-            .data_bits(DataBits::Eight)
-            .parity(Parity::None)
-            .stop_bits(StopBits::One)
-            .flow_control(FlowControl::None);
-        #[cfg(unix)]
-        let builder = builder.exclusive(true);
+        // By default with a lock and 8N1, without flow control.
+        let builder = tokio_serial::new(path, baud_rate.bits_per_second());
         let tty = Tty::open(&builder).map_err(|error| open_error::explain(path, error))?;
         check_baud_rate(&tty, baud_rate).map_err(|source| Error::open(path, source))?;
         let is_usb_sensor = list::is_usb_sensor(path);
@@ -142,8 +137,7 @@ impl Port for SerialPort {
         if self.is_usb_sensor { None } else { Some(self.baud_rate) }
     }
 
-    /// Sets the baud rate on a thread, and reads it back. After an error it restores the former
-    /// baud rate, if the port can still be set at all.
+    /// [Sets](set_baud_rate) the baud rate on a thread.
     fn poll_set_baud_rate(
         &mut self,
         cx: &mut Context<'_>,
