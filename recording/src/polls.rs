@@ -24,11 +24,15 @@ const WINDOW_SEARCH_BYTES: usize = 1 << 20;
 const MAX_STAMPS: usize = 1 << 16;
 /// Number of descriptions whose streams may still begin.
 const MAX_STREAMS: usize = 16;
+/// Number of polls among which a message that was played again and its reply find each other.
+const MAX_UNPAIRED: usize = 8;
+/// Least time between a measurement and its playback.
+const PLAYED_AFTER: Duration = Duration::from_secs(1);
 /// Number of sources to name.
 const MAX_SOURCES: usize = 16;
 
 /// Answer to a poll.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct PollReply {
     /// Log time of its receipt.
     pub(super) at: SystemTime,
@@ -40,11 +44,13 @@ pub(super) struct PollReply {
     pub(super) stamp: SystemTime,
     /// Time of one revolution, if the answer has it.
     pub(super) scan_time: Option<Duration>,
+    /// True for a message that was played and recorded again, which gave it another time than its reply.
+    is_played: bool,
     pub(super) answer: Answer,
 }
 
 /// What a recording has of an answer.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) enum Answer {
     Reply(RecordedReply),
     /// Values of a `/scan` message.
@@ -68,6 +74,11 @@ impl PollReply {
     /// Values of the stream's window, if this is a scan of it.
     pub(super) fn stream_values(&self) -> Option<(Window, Values)> {
         let window = self.window?;
+        Some((window, self.values_of(&window)?))
+    }
+
+    /// Values of a window that was asked for, or is a part of that.
+    fn values_of(&self, window: &Window) -> Option<Values> {
         let mut values = self.answer.values()?;
         // The driver may have asked for extra points before or after the window, or for a stream of more
         // windows, whose clusters it makes.
@@ -81,7 +92,21 @@ impl PollReply {
         if clusters != window.cluster_count() {
             values.cluster(window.cluster_count(), &self.asked.model.geometry());
         }
-        (values.distances.len() == window.points()).then_some((window, values))
+        (values.distances.len() == window.points()).then_some(values)
+    }
+
+    /// Returns true if this is a message that was played and recorded again, of that reply: both have
+    /// the same distances.
+    fn is_played_of(&self, reply: &Self) -> bool {
+        let distances = |poll: &Self| {
+            let (values, geometry) =
+                (poll.values_of(&self.asked.window)?, poll.asked.model.geometry());
+            let distance = |value: &u32| geometry.measurement(*value).distance();
+            Some(values.distances.iter().map(distance).collect::<Vec<_>>())
+        };
+        self.is_played
+            && self.asked.model.is_like(&reply.asked.model)
+            && distances(self).is_some_and(|seen| distances(reply) == Some(seen))
     }
 
     /// Returns true if this is a poll of the stream.
@@ -113,6 +138,8 @@ pub(super) struct StreamPolls {
     left_out: LeftOutCounter,
     /// Stamps of the latest replies to polls, and what they are of.
     stamps: VecDeque<(SystemTime, Stream)>,
+    /// Latest replies to polls without a message of the same stamp.
+    unpaired: VecDeque<PollReply>,
     /// What the sensor sent for the latest scan in SCIP 2.
     latest: Vec<u8>,
     /// Polls that wait to be returned, and the bytes of their replies.
@@ -142,8 +169,15 @@ impl StreamPolls {
     /// Takes the next record of the file.
     pub(super) fn add(&mut self, record: Record) {
         let Record { at, stamp, .. } = record;
-        let poll =
-            |asked, answer| PollReply { at, asked, window: None, stamp, scan_time: None, answer };
+        let poll = |asked, answer| PollReply {
+            at,
+            asked,
+            window: None,
+            stamp,
+            scan_time: None,
+            is_played: false,
+            answer,
+        };
         let poll = match record.entry {
             Entry::Reply(reply) => {
                 if let Some(parameters) = reply.parameters() {
@@ -159,7 +193,17 @@ impl StreamPolls {
                 }
                 self.stamps.push_back((stamp, of.clone()));
                 self.waiting_bytes += reply.bytes.len();
-                poll(of, Answer::Reply(reply))
+                let reply = poll(of, Answer::Reply(reply));
+                let message = self.waiting.iter_mut().rfind(|scan| scan.is_played_of(&reply));
+                if let Some(message) = message {
+                    *message = reply;
+                    return;
+                }
+                if self.unpaired.len() == MAX_UNPAIRED {
+                    self.unpaired.pop_front();
+                }
+                self.unpaired.push_back(reply.clone());
+                reply
             }
             Entry::Scan(message) => {
                 if self.frame_ids.len() < MAX_SOURCES && !self.frame_ids.contains(&message.frame_id)
@@ -169,6 +213,7 @@ impl StreamPolls {
                 // The driver delivers the stamp of the reply.
                 let reply = self.stamps.iter().rev().find(|(known, _)| *known == stamp);
                 if let Some((_, of)) = reply {
+                    self.unpaired.retain(|reply| reply.stamp != stamp);
                     poll(of.clone(), Answer::Repeated)
                 } else {
                     let known = self.streams.iter().rev().cloned();
@@ -185,8 +230,16 @@ impl StreamPolls {
                         );
                         return;
                     };
-                    let MessageScan { stream, values, stamp, scan_time } = scan;
-                    PollReply { stamp, scan_time, ..poll(stream, Answer::Values(values)) }
+                    let MessageScan { stream, values, stamp: measured, scan_time } = scan;
+                    let since = stamp.duration_since(measured);
+                    let is_played = since.unwrap_or_else(|error| error.duration()) > PLAYED_AFTER;
+                    let scan = poll(stream, Answer::Values(values));
+                    let scan = PollReply { stamp: measured, scan_time, is_played, ..scan };
+                    let place = self.unpaired.iter().position(|reply| scan.is_played_of(reply));
+                    match place.and_then(|place| self.unpaired.remove(place)) {
+                        Some(reply) => PollReply { answer: Answer::Repeated, ..reply },
+                        None => scan,
+                    }
                 }
             }
             Entry::Event(_) => return,
@@ -206,6 +259,9 @@ impl StreamPolls {
             self.find_stream();
         }
         loop {
+            if !is_end && self.may_have_reply() {
+                return None;
+            }
             let mut poll = self.waiting.pop_front()?;
             poll.window = self.stream_of(&poll);
             let reason = match poll.answer {
@@ -224,6 +280,12 @@ impl StreamPolls {
                 return Some(poll);
             }
         }
+    }
+
+    /// Returns true if the reply of the next poll, a message, may follow.
+    fn may_have_reply(&self) -> bool {
+        let has_replies = !self.stamps.is_empty() && self.waiting.len() < MAX_UNPAIRED;
+        has_replies && self.waiting.front().is_some_and(|poll| poll.is_played)
     }
 
     /// Returns the sensor of a reply in SCIP 2: the one whose stream asks for it, or else the latest.

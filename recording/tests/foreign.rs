@@ -8,9 +8,10 @@ use std::io::Cursor;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, WriteOptions};
 use tokio_scip::Window;
+use urg_emulator::Model;
 use urg_recording::{Recording, repair};
 
-use super::sink::{Sink, record, sensor};
+use super::sink::{self, Sink, record, sensor};
 
 /// Writes the messages of a recording again, between an image of 2 MiB, an attachment of
 /// 3 MiB and a private record.
@@ -70,6 +71,37 @@ async fn a_foreign_copy_reads_as_the_original() {
         // The image is among them.
         assert_eq!(messages(&repaired), messages(&copied));
         assert_eq!(messages(&repaired).len(), records.len() + 1);
+    }
+}
+
+/// `ros2 bag play` and `ros2 bag record --all` give each message a time of its own, and may swap two topics.
+#[tokio::test(start_paused = true)]
+async fn scans_played_and_recorded_again_are_read_once() {
+    let models = [Model::Urg04lx, Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx];
+    for (model, swaps) in models.into_iter().flat_map(|model| [(model, false), (model, true)]) {
+        let sink = Sink::new();
+        record(sink::model(model), &sink, Window::DETECTION, 20).await;
+        let recorded = sink.bytes();
+        let mut messages: Vec<_> =
+            mcap::MessageStream::new(&recorded).unwrap().map(Result::unwrap).collect();
+        if swaps {
+            for place in 1..messages.len() {
+                if messages[place].channel.topic == "/scan" {
+                    messages.swap(place - 1, place);
+                }
+            }
+        }
+        let mut writer = WriteOptions::new().create(Cursor::new(Vec::new())).unwrap();
+        for (message, number) in messages.into_iter().zip(0..) {
+            let log_time = 3_600_000_000_000 + message.log_time + number * 1_000;
+            writer.write(&mcap::Message { log_time, publish_time: log_time, ..message }).unwrap();
+        }
+        writer.finish().unwrap();
+        let values = |recording: Recording| -> Vec<Vec<u32>> {
+            recording.scans().map(|scan| scan.unwrap().raw_values().collect()).collect()
+        };
+        let again = Recording::read(Cursor::new(writer.into_inner().into_inner())).unwrap();
+        assert_eq!(values(again), values(sink.open()), "{model:?}, swapped: {swaps}");
     }
 }
 
