@@ -203,13 +203,13 @@ impl PartialEq for Scan {
 impl Eq for Scan {}
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use std::sync::Arc;
 
     use super::*;
 
     /// Each value equals its index, plus 20.
-    pub(in crate::scan) fn scan(window: Window) -> Scan {
+    fn scan(window: Window) -> Scan {
         scan_of(window, (0..window.points() as u32).map(|n| 20 + n))
     }
 

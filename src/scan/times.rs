@@ -163,28 +163,3 @@ impl Scan {
         Duration::from_nanos(nanos.saturating_mul(half_steps) / revolution)
     }
 }
-
-#[cfg(test)]
-#[allow(clippy::unwrap_used)]
-mod tests {
-    use super::super::scan::tests::scan;
-    use super::*;
-    use crate::Window;
-
-    #[test]
-    fn a_late_scan_has_earlier_rays() {
-        let mut scan = scan(Window::DETECTION);
-        let (stamp, at) = (scan.first_ray_stamp(), scan.first_ray_at());
-        assert_eq!((scan.times().quality, scan.times().lateness), (StampQuality::Arrival, None));
-        let late = Duration::from_micros(1_234);
-        scan.meta.lateness = Some(late);
-        assert_eq!(
-            (scan.times().quality, scan.times().lateness),
-            (StampQuality::Motor, Some(late))
-        );
-        assert_eq!((stamp - late, at - late), (scan.first_ray_stamp(), scan.first_ray_at()));
-        // Both clocks by the same time.
-        let by_wall = scan.times().stamp.duration_since(scan.first_ray_stamp()).unwrap();
-        assert_eq!(by_wall, scan.meta.first_byte_at - scan.first_ray_at());
-    }
-}

@@ -35,8 +35,11 @@ fn errors(emulator: &Emulator, scan: &Scan) -> Errors {
     let truth = sent.iter().find(|sent| sent.requested_at >= scan.times().requested_at).unwrap();
     // The window begins 172 steps after the rear.
     let turned = truth.revolution_end.duration_since(scan.times().first_ray_at).as_secs_f64();
-    let stamp = scan.scan_time().as_secs_f64() * (1.0 - 172.0 / 1024.0) - turned;
+    let since_first_ray = scan.scan_time().as_secs_f64() * (1.0 - 172.0 / 1024.0);
+    let stamp = since_first_ray - turned;
     let lateness = scan.times().lateness.unwrap_or_default().as_secs_f64();
+    let by_wall = scan.times().stamp.duration_since(scan.first_ray_stamp()).unwrap().as_secs_f64();
+    assert!((by_wall - since_first_ray - lateness).abs() < 1e-6, "{by_wall} {scan:?}");
     Errors { stamp: stamp * 1e3, arrival: (stamp + lateness) * 1e3 }
 }
 
