@@ -284,6 +284,7 @@ fn a_status_has_a_meaning_for_its_command() {
             false,
             Some("the sensor's state does not allow the command"),
         ),
+        (stream, "0Ll", false, false, Some("the sensor is in an abnormal state: power-cycle it")),
         (stream, "21S", false, false, Some("the sensor stopped to check an error")),
         (stream, "50U", false, false, Some("laser, motor or other hardware is out of order")),
         (stream, "98a", false, false, Some("the sensor resumes, with its laser in order again")),

@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use tokio_scip::protocol::Text;
-use tokio_scip::{Sensor, Version, Window};
+use tokio_scip::protocol::scip2::State;
+use tokio_scip::{Error, Sensor, Version, Window};
 
 use super::finding::{Finding, Verdict};
 use super::measured::Measured;
@@ -26,21 +27,26 @@ pub(crate) async fn link(port: &PortName, sensor: &Sensor, after: Duration) -> F
 }
 
 pub(crate) async fn version(sensor: &Sensor) -> Finding {
-    match sensor.version().await {
-        Ok(version) => identity(&version),
+    let told = async { Ok::<_, Error>((sensor.version().await?, sensor.sensor_state().await?)) };
+    match told.await {
+        Ok((version, state)) => identity(&version, state.as_ref()),
         Err(error) => Finding::failed("version", chain(&error)),
     }
 }
 
-pub(crate) fn identity(version: &Version) -> Finding {
+/// Judges what a sensor says of itself. Whether it works is in the version of SCIP 1.1, and in the state of SCIP 2.
+fn identity(version: &Version, state: Option<&State>) -> Finding {
+    /// Parts of what sensors that work say. Others say `Trouble!! Error No. =[00->33]`.
+    const WORKS: [&str; 4] = ["Normal", "works well", "is working", "no error"];
     const NAME: &str = "version";
     let who = format!("{} {}, {}", version.product, version.serial_number, version.firmware);
-    let status = version.status.as_ref().map(ToString::to_string);
+    let status = state.map(|state| &state.diagnosis).or(version.status.as_ref());
+    let status = status.map(ToString::to_string).unwrap_or_default();
     match status {
         _ if [&version.product, &version.serial_number].contains(&&Text::default()) => {
             Finding::weak(NAME, format!("product or serial number missing: {who}"))
         }
-        Some(status) if !status.contains("Normal") => {
+        status if !status.is_empty() && !WORKS.iter().any(|part| status.contains(part)) => {
             Finding::weak(NAME, format!("{who}; its status is {status:?}"))
         }
         _ => Finding::ok(NAME, who),
@@ -81,7 +87,7 @@ pub(crate) fn recording(contents: Contents, topic: &str) -> Vec<Finding> {
             "version",
             format!("not recorded, as by other programs: only the scans on {topic} are judged"),
         ),
-        false => identity(&contents.version),
+        false => identity(&contents.version, None),
     };
     [version].into_iter().chain(contents.rows.into_iter().map(finding)).collect()
 }
@@ -211,6 +217,27 @@ mod tests {
         let (bad, text) = test(Emulator::builder().usb(), silent, 10).await;
         assert!(bad.contains(&("laser", Verdict::Failed)), "{text}");
         assert!(bad.contains(&("polls", Verdict::Failed)), "{text}");
+    }
+
+    #[test]
+    fn a_sensor_of_scip_2_that_is_in_trouble_is_weak() {
+        let mut version = Version::default();
+        (version.product, version.serial_number) = ("UTM-30LX".into(), "H0902680".into());
+        let mut state = State::default();
+        for (says, verdict) in [
+            ("", Verdict::Ok),
+            ("Sensor works well.", Verdict::Ok),
+            ("Sensor is working well.", Verdict::Ok),
+            ("Stable 000 no error.", Verdict::Ok),
+            ("sensor is working normally", Verdict::Ok),
+            ("Sensor is in error state.", Verdict::Weak),
+            ("Trouble!! Error No. =[00->33]", Verdict::Weak),
+        ] {
+            state.diagnosis = says.into();
+            let finding = identity(&version, Some(&state));
+            assert_eq!(finding.verdict, verdict, "{finding}");
+            assert!(verdict == Verdict::Ok || finding.to_string().contains(says), "{finding}");
+        }
     }
 
     #[tokio::test(start_paused = true)]
