@@ -237,6 +237,17 @@ async fn a_port_without_suspension_is_read_piecewise() {
     }
 }
 
+/// Fewer than five pieces after the first are not worth a pause.
+#[tokio::test(start_paused = true)]
+async fn scans_in_few_pieces_are_read_piecewise() {
+    for (length, pieces, has_pauses) in [(275, 6, true), (290, 5, false), (375, 4, false)] {
+        let mut rig = rig(Pieces { length, interval: ms(20), ..RS232 }, true).await;
+        rig.learn().await;
+        let (reads, _) = rig.scan().await.unwrap();
+        assert_eq!(reads < pieces, has_pauses, "{length}: {reads}");
+    }
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_slow_pace_is_corrected_in_five_scans() {
     let mut rig = rig(RS232, true).await;

@@ -170,119 +170,13 @@ mod tests {
 
     use super::*;
 
-    /// Length of a scan's first piece. The rest takes 100 ms.
-    const PIECE: usize = 14;
-    const REST: usize = 1_385;
-    const REST_TIME: Duration = Duration::from_millis(100);
+    /// Time between two pieces of a scan that takes 100 ms.
+    const SLOW: Duration = Duration::from_micros(4762);
+    const NEVER: Duration = Duration::from_secs(3600);
 
-    /// Pauses of a link on which enough scans were measured.
-    async fn measured() -> Pauses {
-        let mut pauses = Pauses::default();
-        for _ in 0..MEASURED_FIRST {
-            receive(&mut pauses, REST).await;
-        }
-        pauses
-    }
-
-    /// Receives and measures a scan: its first piece, then `missing` bytes.
-    async fn receive(pauses: &mut Pauses, missing: usize) {
-        pauses.begin_reply();
-        assert_eq!(next(pauses, missing), None);
-        advance(REST_TIME).await;
-        pauses.end_reply(Instant::now(), (PIECE + missing) as u64);
-    }
-
-    /// How long to pause at the first piece of a scan with `missing` bytes to come.
-    fn next(pauses: &mut Pauses, missing: usize) -> Option<Duration> {
-        let now = Instant::now();
-        pauses.next(PIECE, missing, now + Duration::from_secs(10)).map(|until| until - now)
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_pause_counts_from_its_own_reply() {
-        let mut pauses = measured().await;
-        pauses.begin_reply();
-        assert!(next(&mut pauses, REST).is_some());
-        advance(Duration::from_secs(1)).await;
-        pauses.begin_reply();
-        let pause = next(&mut pauses, REST).unwrap();
-        assert!(pause > REST_TIME - 3 * TIMER_DELAY && pause < REST_TIME, "{pause:?}");
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn scans_in_few_pieces_are_read_piecewise() {
-        let mut pauses = measured().await;
-        for (piece, pauses_there) in [(64, true), (279, true), (280, false), (375, false)] {
-            pauses.begin_reply();
-            let deadline = Instant::now() + Duration::from_secs(10);
-            let until = pauses.next(piece, PIECE + REST - piece, deadline);
-            assert_eq!(until.is_some(), pauses_there, "{piece}");
-        }
-    }
-
-    /// Receives a scan whose pauses end late by `late`, piece by piece while the driver is
-    /// awake. Returns the delay between its last byte and its receipt.
-    async fn delay(pauses: &mut Pauses, late: Duration) -> Duration {
-        pauses.begin_reply();
-        let begin = Instant::now();
-        let end = begin + REST_TIME;
-        loop {
-            let come = begin.elapsed().as_secs_f64() / REST_TIME.as_secs_f64() * REST as f64;
-            let missing = REST.saturating_sub(come as usize);
-            if Instant::now() >= end {
-                break;
-            }
-            match pauses.next(PIECE + REST - missing, missing, end + REST_TIME) {
-                Some(until) => advance(until - Instant::now() + late).await,
-                None => advance(Duration::from_millis(1).min(end - Instant::now())).await,
-            }
-        }
-        pauses.end_reply(Instant::now(), (PIECE + REST) as u64);
-        Instant::now() - end
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn scans_are_soon_in_time_after_a_stall() {
-        for late in (0..=100).map(|tenths| Duration::from_micros(100 * tenths)) {
-            let mut pauses = Pauses::default();
-            for _ in 0..MEASURED_FIRST {
-                pauses.begin_reply();
-                assert_eq!(next(&mut pauses, REST), None);
-                // Each is seen 14 ms late.
-                advance(REST_TIME + Duration::from_millis(14)).await;
-                pauses.end_reply(Instant::now(), (PIECE + REST) as u64);
-            }
-            for _ in 0..20 {
-                delay(&mut pauses, late).await;
-            }
-            let mut delays = Vec::new();
-            for _ in 0..101 {
-                delays.push(delay(&mut pauses, late).await);
-            }
-            delays.sort();
-            let median = delays.get(50).copied().unwrap();
-            // Without pauses there is no delay: each piece wakes the driver.
-            assert!(median <= Duration::from_millis(1), "{late:?}: {median:?}");
-        }
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn pauses_return_after_timers_were_late() {
-        let mut pauses = measured().await;
-        for _ in 0..MEASURED_FIRST {
-            delay(&mut pauses, 2 * REST_TIME).await;
-        }
-        pauses.begin_reply();
-        assert_eq!(next(&mut pauses, REST), None, "timers may be late again");
-        for _ in 0..8 {
-            delay(&mut pauses, Duration::ZERO).await;
-        }
-        pauses.begin_reply();
-        assert!(next(&mut pauses, REST).is_some());
-    }
-
-    /// Receives a scan of 22 pieces. Returns the number of wake-ups, with the one that sent the poll.
-    async fn wake_ups(pauses: &mut Pauses, interval: Duration, late: Duration) -> u32 {
+    /// Receives a scan of 22 pieces of 64 bytes. Pauses end late by `late`. Returns the number of
+    /// wake-ups, with the one that sent the poll, and the delay between the last byte and its receipt.
+    async fn receive(pauses: &mut Pauses, interval: Duration, late: Duration) -> (u32, Duration) {
         pauses.begin_reply();
         let (begin, mut wake_ups) = (Instant::now(), 2);
         loop {
@@ -291,30 +185,71 @@ mod tests {
             if missing == 0 {
                 break;
             }
-            match pauses.next(64 * (22 - missing), 64 * missing, begin + REST_TIME) {
-                Some(until) => advance(until - Instant::now() + TIMER_DELAY + late).await,
+            match pauses.next(64 * (22 - missing), 64 * missing, begin + NEVER) {
+                Some(until) => advance(until - Instant::now() + late).await,
                 None => advance(begin + interval * (come + 1) - Instant::now()).await,
             }
             wake_ups += 1;
         }
         pauses.end_reply(Instant::now(), 64 * 22);
-        wake_ups
+        (wake_ups, begin.elapsed() - 21 * interval)
+    }
+
+    /// Pauses of a link on which enough scans were measured, each seen late by `late`.
+    async fn measured(interval: Duration, late: Duration) -> Pauses {
+        let mut pauses = Pauses::default();
+        for _ in 0..MEASURED_FIRST {
+            pauses.begin_reply();
+            assert_eq!(pauses.next(64, 64 * 21, Instant::now() + NEVER), None);
+            advance(21 * interval + late).await;
+            pauses.end_reply(Instant::now(), 64 * 22);
+        }
+        pauses
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn scans_are_soon_in_time_after_a_stall() {
+        for late in (0..=100).map(|tenths| Duration::from_micros(100 * tenths)) {
+            let mut pauses = measured(SLOW, Duration::from_millis(14)).await;
+            for _ in 0..20 {
+                receive(&mut pauses, SLOW, late).await;
+            }
+            let mut delays = Vec::new();
+            for _ in 0..101 {
+                delays.push(receive(&mut pauses, SLOW, late).await.1);
+            }
+            delays.sort();
+            // Without pauses there is no delay: each piece wakes the driver.
+            assert!(delays[50] <= Duration::from_millis(1), "{late:?}: {delays:?}");
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn pauses_return_after_timers_were_late() {
+        let mut pauses = measured(SLOW, Duration::ZERO).await;
+        for _ in 0..MEASURED_FIRST {
+            receive(&mut pauses, SLOW, 40 * SLOW).await;
+        }
+        let (wake_ups, _) = receive(&mut pauses, SLOW, Duration::ZERO).await;
+        assert_eq!(wake_ups, 23, "timers may be late again");
+        for _ in 0..7 {
+            receive(&mut pauses, SLOW, Duration::ZERO).await;
+        }
+        assert!(receive(&mut pauses, SLOW, Duration::ZERO).await.0 < 23);
     }
 
     #[tokio::test(start_paused = true)]
     async fn late_timers_and_fast_scans_cost_few_wake_ups() {
         let (usual, fast) = (Duration::from_micros(171), Duration::from_micros(120));
-        let mut pauses = Pauses::default();
-        for _ in 0..MEASURED_FIRST {
-            assert_eq!(wake_ups(&mut pauses, usual, Duration::ZERO).await, 23);
-        }
+        let mut pauses = measured(usual, Duration::ZERO).await;
         let mut total = 0;
         for scan in 1..=200 {
-            total += match scan % 20 {
-                0 => wake_ups(&mut pauses, usual, Duration::from_millis(5)).await,
-                10 => wake_ups(&mut pauses, fast, Duration::ZERO).await,
-                _ => wake_ups(&mut pauses, usual, Duration::ZERO).await,
+            let (interval, late) = match scan % 20 {
+                0 => (usual, Duration::from_millis(5)),
+                10 => (fast, Duration::ZERO),
+                _ => (usual, Duration::ZERO),
             };
+            total += receive(&mut pauses, interval, TIMER_DELAY + late).await.0;
         }
         assert!(total <= 200 * 8, "{total}");
     }
