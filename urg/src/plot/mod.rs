@@ -226,14 +226,14 @@ mod tests {
         }
     }
 
-    /// Scan of a UST that sees points in these distances.
-    async fn ust(millimetres: &[u32]) -> Scan {
+    /// Scan of a UTM that sees points in these distances.
+    async fn utm(millimetres: &[u32]) -> Scan {
         let seen = millimetres.to_vec();
         let world = move |_: WorldTime, values: &mut Values| {
-            values.fill(65_533);
+            values.fill(1);
             values.iter_mut().zip(&seen).for_each(|(value, seen)| *value = *seen);
         };
-        let emulator = Emulator::builder().model(Model::Ust10lx).world(world).build();
+        let emulator = Emulator::builder().model(Model::Utm30lx).world(world).build();
         let sensor = Sensor::builder().connect(emulator).await.unwrap();
         sensor.scan(Window::DETECTION).await.unwrap()
     }
@@ -247,7 +247,7 @@ mod tests {
             (&[29_000], 30.0),
             (&[59_000], 61.2),
         ] {
-            assert_eq!(reach(&ust(seen).await), expected, "{seen:?}");
+            assert_eq!(reach(&utm(seen).await), expected, "{seen:?}");
         }
         let urg = Scan::builder(Window::new(384..=384).unwrap(), [30]).build().unwrap();
         assert_eq!(reach(&urg), 4.2);
@@ -255,7 +255,7 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn a_plot_grows_at_once_and_shrinks_later() {
-        let (near, far) = (ust(&[3000]).await, ust(&[14_000]).await);
+        let (near, far) = (utm(&[3000]).await, utm(&[14_000]).await);
         let (mut shown, start) = (Reach::new(), Instant::now());
         let mut after = |scan, seconds| {
             shown.follow(scan, start + Duration::from_secs(seconds));

@@ -48,7 +48,7 @@ mod tests {
         for (model, code, kind, count) in [
             (Model::Urg04lx, "3", "weak", 20),
             (Model::Urg04lxUg01, "3", "none", 20),
-            (Model::Ust10lx, "65533", "far", 24),
+            (Model::Ust10lx, "65533", "far", 21),
             (Model::Utm30lx, "1", "far", 23),
         ] {
             let emulator = Emulator::builder().model(model).build();
