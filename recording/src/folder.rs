@@ -4,6 +4,8 @@ use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Component, Path, PathBuf};
 
+use saphyr_parser::{Event, Parser};
+
 use super::RecordingError;
 
 /// Description of a folder's files that `ros2 bag record` writes at its end.
@@ -91,101 +93,17 @@ fn numbered(folder: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(files.into_iter().map(|(_, _, path)| path).collect())
 }
 
-/// Parses the list of files in a `metadata.yaml`, as rosbag2 and rosbags write it: one name a line, in
-/// quotes if it has special characters, and continued on the next line if it is long. Returns `None`
-/// for other YAML.
+/// Reads the list of files in a `metadata.yaml`.
 fn listed(text: &str) -> Option<Vec<String>> {
-    let indent = |line: &str| line.len() - line.trim_start().len();
-    let mut lines = text.lines().skip_while(|line| line.trim() != "relative_file_paths:").skip(1);
-    let mut items: Vec<String> = Vec::new();
-    let first = lines.next().filter(|line| line.trim_start().starts_with("- "))?;
-    let depth = indent(first);
-    for line in std::iter::once(first).chain(lines) {
-        match line.trim_start().strip_prefix("- ") {
-            Some(item) if indent(line) == depth => items.push(item.trim().to_owned()),
-            _ if indent(line) > depth => {
-                let item = items.last_mut()?;
-                // In double quotes, a backslash before the break keeps the words together.
-                if item.starts_with('"') && item.ends_with('\\') {
-                    item.pop();
-                } else {
-                    item.push(' ');
-                }
-                item.push_str(line.trim());
-            }
-            _ => break,
-        }
-    }
-    items.iter().map(|item| scalar(item)).collect()
-}
-
-/// Parses a text of YAML on one line.
-fn scalar(text: &str) -> Option<String> {
-    if let Some(quoted) = text.strip_prefix('\'') {
-        return Some(quoted.strip_suffix('\'')?.replace("''", "'"));
-    }
-    let Some(quoted) = text.strip_prefix('"') else { return Some(text.to_owned()) };
-    let (mut out, mut letters) = (String::new(), quoted.strip_suffix('"')?.chars());
-    while let Some(letter) = letters.next() {
-        out.push(match letter {
-            '\\' => {
-                let digits = match letters.next()? {
-                    'x' => 2,
-                    'u' => 4,
-                    'U' => 8,
-                    mark @ ('"' | '\\' | '/' | ' ') => {
-                        out.push(mark);
-                        continue;
-                    }
-                    _ => return None,
-                };
-                let code: String = letters.by_ref().take(digits).collect();
-                char::from_u32(u32::from_str_radix(&code, 16).ok()?)?
-            }
-            letter => letter,
-        });
-    }
-    Some(out)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_list_of_files_is_read_in_each_form() {
-        for (list, names) in [
-            ("    - bag_0.mcap\n    - bag_1.mcap\n", Some(vec!["bag_0.mcap", "bag_1.mcap"])),
-            ("  - bag_0.mcap\n", Some(vec!["bag_0.mcap"])),
-            ("  - 'it''s.mcap'\n", Some(vec!["it's.mcap"])),
-            ("  - \"a\\\": \\xFC\\\\\\u00fc.mcap\"\n", Some(vec!["a\": ü\\ü.mcap"])),
-            ("  - a long\n    name.mcap\n  - b\n", Some(vec!["a long name.mcap", "b"])),
-            ("  - \"a:\\\n    \\ b.mcap\"\n", Some(vec!["a: b.mcap"])),
-            ("    - [a]\n", Some(vec!["[a]"])),
-            ("", None),
-            ("  - \"open\n", None),
-            ("  - \"\\q\"\n", None),
-            ("  - \"\\ud800\"\n", None),
-        ] {
-            let text = format!(
-                "rosbag2_bagfile_information:\n  files:\n  - path: x.mcap\n  relative_file_paths:\n\
-                 {list}  duration:\n    nanoseconds: 1\n"
-            );
-            let names = names.map(|names| names.into_iter().map(str::to_owned).collect());
-            assert_eq!(listed(&text), names, "{list}");
-        }
-        for text in ["", "relative_file_paths: []\n", "relative_file_paths:\n", "- a.mcap\n"] {
-            assert_eq!(listed(text), None, "{text}");
-        }
-    }
-
-    #[test]
-    fn a_listed_file_lies_in_the_folder() {
-        for name in ["a.mcap", "part/a.mcap"] {
-            assert!(is_inside(name), "{name}");
-        }
-        for name in ["", "..", "/etc/a.mcap", "../a.mcap", "a/../../b.mcap"] {
-            assert!(!is_inside(name), "{name}");
+    let mut events = Parser::new_from_str(text).map_while(|event| Some(event.ok()?.0));
+    events.find(|event| matches!(event, Event::Scalar(key, ..) if key == "relative_file_paths"))?;
+    events.next().filter(|event| matches!(event, Event::SequenceStart(..)))?;
+    let mut names = Vec::new();
+    loop {
+        match events.next()? {
+            Event::Scalar(name, ..) => names.push(name.into_owned()),
+            Event::SequenceEnd => return Some(names).filter(|names| !names.is_empty()),
+            _ => return None,
         }
     }
 }

@@ -68,6 +68,22 @@ async fn a_folder_is_read_file_by_file() {
     assert_eq!(read(open()), (delivered, true));
 }
 
+#[test]
+fn a_list_of_files_is_read_in_each_form() {
+    let folder = Folder::new("list");
+    for (name, expected) in [
+        ("part/a.mcap", "part/a.mcap"),
+        ("'it''s.mcap'", "it's.mcap"),
+        ("\"a\\\": \\xFC\\u00fc.mcap\"", "a\": \u{fc}\u{fc}.mcap"),
+        ("a long\n      name.mcap", "a long name.mcap"),
+        ("\"a:\\\n      \\ b.mcap\"", "a: b.mcap"),
+    ] {
+        describe(folder.path(), &[name, "b.mcap"]);
+        let expected = [expected, "b.mcap"].map(|name| folder.path().join(name));
+        assert_eq!(recording_files(folder.path()).unwrap(), expected);
+    }
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_missing_file_is_named() {
     let folder = Folder::new("missing-file");
@@ -117,7 +133,9 @@ fn a_bag_in_another_format_is_named() {
         fs::remove_file(folder.path().join("metadata.yaml")).unwrap();
     }
     assert!(open(folder.path()).contains("neither a metadata.yaml nor .mcap files"));
-    for list in [&["../a.mcap"][..], &["/a.mcap"], &[]] {
+    for list in
+        [&["../a.mcap"][..], &["/a.mcap"], &["a/../../b.mcap"], &["''"], &["\"a"], &["[a]"], &[]]
+    {
         describe(folder.path(), list);
         assert!(open(folder.path()).contains("lists no files in it"), "{list:?}");
     }
