@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::RecordingError;
 use super::error::FileGone;
-use super::sync::{Durable, Syncer};
+use super::sync::Syncer;
 
 /// File to record into, for [`RecorderBuilder::record_into`](super::RecorderBuilder::record_into).
 ///
@@ -100,8 +100,13 @@ impl RecordingFile {
             file.set_len(0)?;
         }
         if let Some(syncer) = &syncer {
-            let (path, file) = (opened.path.clone(), file.try_clone()?);
-            syncer.begin(Box::new(DurableFile { file, path }));
+            let (mut is_new, path, file) = (true, opened.path.clone(), file.try_clone()?);
+            syncer.begin(Box::new(move || {
+                if std::mem::take(&mut is_new) {
+                    sync_folder(&path);
+                }
+                file.sync_data()
+            }));
         }
         Ok(Box::new(FileWriter { file, is_regular, length: 0, syncer }))
     }
@@ -175,24 +180,15 @@ impl Drop for FileWriter {
     }
 }
 
-/// File, as the thread that syncs it sees it.
-struct DurableFile {
-    file: File,
-    path: PathBuf,
-}
-
-impl Durable for DurableFile {
-    fn sync(&self) -> io::Result<()> {
-        self.file.sync_data()
-    }
-
-    /// Without this, the file has no name after a power failure.
-    fn sync_folder(&self) -> io::Result<()> {
-        if cfg!(unix) {
-            let folder = self.path.parent().filter(|folder| !folder.as_os_str().is_empty());
-            return File::open(folder.unwrap_or(Path::new(".")))?.sync_all();
-        }
-        Ok(())
+/// Without this, the file has no name after a power failure.
+fn sync_folder(path: &Path) {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let open = || File::open(folder.unwrap_or(Path::new(".")));
+    if cfg!(unix)
+        && let Err(error) = open().and_then(|folder| folder.sync_all())
+    {
+        // Some file systems cannot sync a folder. If anything else is wrong, the file shows it.
+        tracing::debug!(%error, "the folder of the recording cannot be synced");
     }
 }
 

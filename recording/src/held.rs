@@ -13,9 +13,8 @@ use super::reply::identity_command;
 pub(super) struct Held {
     span: Duration,
     max_bytes: usize,
-    metadata: Option<WriteItem>,
-    /// Latest replies, by their commands, that are no longer among the items and identify the sensor: a
-    /// replay begins with them.
+    /// Latest metadata, and the latest replies, by their commands, that are no longer among the items
+    /// and identify the sensor: a replay begins with them.
     identity: BTreeMap<&'static str, WriteItem>,
     items: VecDeque<(Instant, WriteItem)>,
     bytes: usize,
@@ -24,13 +23,14 @@ pub(super) struct Held {
 impl Held {
     pub(super) fn new(span: Duration, max_bytes: usize) -> Self {
         let (identity, items) = (BTreeMap::new(), VecDeque::new());
-        Self { span, max_bytes, metadata: None, identity, items, bytes: 0 }
+        Self { span, max_bytes, identity, items, bytes: 0 }
     }
 
     /// Adds an item, and drops those that are too old, or too many.
     pub(super) fn push(&mut self, item: WriteItem, now: Instant) {
         if matches!(item, WriteItem::Metadata(_)) {
-            self.metadata = Some(item);
+            // First in the file.
+            self.identity.insert("", item);
             return;
         }
         self.bytes += item.weight();
@@ -55,7 +55,6 @@ impl Held {
                 times.steady = at.into_std();
             }
         }
-        let head = self.metadata.into_iter().chain(self.identity.into_values());
-        head.chain(self.items.into_iter().map(|(_, item)| item))
+        self.identity.into_values().chain(self.items.into_iter().map(|(_, item)| item))
     }
 }

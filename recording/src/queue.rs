@@ -56,20 +56,6 @@ pub(super) struct QueueSettings {
 }
 
 impl Queue {
-    fn new(syncer: Option<Syncer>, before: Option<Duration>) -> (Self, mpsc::Receiver<WriteItem>) {
-        let (items, receiver) = mpsc::channel();
-        let queue = Self {
-            items,
-            pending: Mutex::default(),
-            held: Mutex::new(before.map(|span| Held::new(span, HELD_BYTES))),
-            waiting: watch::Sender::new(Some(0)),
-            progress: Arc::new(Mutex::new(Progress { files: 1, ..Progress::default() })),
-            failure: Mutex::new(None),
-            syncer,
-        };
-        (queue, receiver)
-    }
-
     /// Starts a file, and the threads that write and sync it.
     pub(super) fn into_file(
         file: RecordingFile,
@@ -91,8 +77,16 @@ impl Queue {
         settings: QueueSettings,
     ) -> Result<Arc<Self>, RecordingError> {
         let QueueSettings { limits, frame_id, compression, before, .. } = settings;
-        let (queue, receiver) = Self::new(syncer.clone(), before);
-        let queue = Arc::new(queue);
+        let (items, receiver) = mpsc::channel();
+        let queue = Arc::new(Self {
+            items,
+            pending: Mutex::default(),
+            held: Mutex::new(before.map(|span| Held::new(span, HELD_BYTES))),
+            waiting: watch::Sender::new(Some(0)),
+            progress: Arc::new(Mutex::new(Progress { files: 1, ..Progress::default() })),
+            failure: Mutex::new(None),
+            syncer: syncer.clone(),
+        });
         let parts = Parts::new(limits, path, Arc::clone(&queue.progress), syncer);
         let writer = Writer::new(out, parts, frame_id, compression);
         let writer = writer.map_err(RecordingError::write)?;
@@ -223,7 +217,7 @@ fn write_all(
                 writer.reply(&request, &bytes, times)?
             }
             Ok(WriteItem::Event { json, times }) => writer.event(&json, times)?,
-            Ok(WriteItem::Metadata(metadata)) => writer.metadata(metadata)?,
+            Ok(WriteItem::Metadata(metadata)) => writer.metadata(&metadata)?,
             Ok(WriteItem::Finish(done)) => {
                 // First, because the waiting recorder looks for the error at once.
                 queue.fail(writer.finish());
@@ -254,27 +248,11 @@ fn write_all(
 mod tests {
     use futures::FutureExt as _;
 
-    use super::super::sync::Durable;
-    use super::super::writer::Times;
     use super::*;
-
-    /// Disk that syncs once its sender is dropped.
-    struct Hangs(mpsc::Receiver<()>);
-
-    impl Durable for Hangs {
-        fn sync(&self) -> io::Result<()> {
-            let _ = self.0.recv();
-            Ok(())
-        }
-
-        fn sync_folder(&self) -> io::Result<()> {
-            Ok(())
-        }
-    }
 
     #[tokio::test]
     async fn a_file_is_written_while_its_sync_hangs() {
-        let (go, wait) = mpsc::channel();
+        let (go, wait) = mpsc::channel::<()>();
         let settings = QueueSettings {
             limits: Limits::default(),
             frame_id: String::new(),
@@ -283,7 +261,10 @@ mod tests {
             before: None,
         };
         let syncer = Syncer::start(Duration::ZERO).unwrap();
-        syncer.begin(Box::new(Hangs(wait)));
+        syncer.begin(Box::new(move || {
+            let _ = wait.recv();
+            Ok(())
+        }));
         let file = Box::new(io::sink());
         let queue = Queue::into_writer(file, None, Some(syncer), settings).unwrap();
         queue.finish().await.unwrap();
@@ -291,22 +272,5 @@ mod tests {
         drop(go);
         queue.ended().await;
         assert!(queue.failure().is_none());
-    }
-
-    /// The thread is marked as ended before its end of the channel closes.
-    #[test]
-    fn ready_returns_for_items_pushed_while_the_thread_ends() {
-        let (queue, _receiver) = Queue::new(None, None);
-        let push = || {
-            let json = "x".repeat(LOW_WATER_BYTES);
-            queue.push(WriteItem::Event { json, times: Times::now() });
-        };
-        push();
-        push();
-        assert!(queue.ready().now_or_never().is_none());
-        queue.end(Err(io::ErrorKind::StorageFull.into()));
-        push();
-        push();
-        assert!(queue.ready().now_or_never().is_some());
     }
 }

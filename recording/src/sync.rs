@@ -8,14 +8,8 @@ use std::time::{Duration, Instant};
 
 use super::lock;
 
-/// File, as the thread that syncs it sees it.
-pub(super) trait Durable: Send {
-    /// Waits until all written bytes are on the disk.
-    fn sync(&self) -> io::Result<()>;
-
-    /// Waits until the file's name is on the disk.
-    fn sync_folder(&self) -> io::Result<()>;
-}
+/// Waits until all written bytes of a file are on the disk.
+pub(super) type Sync = Box<dyn FnMut() -> io::Result<()> + Send>;
 
 /// Handle of the thread, which ends with the last clone.
 #[derive(Debug, Clone)]
@@ -36,27 +30,16 @@ struct SyncState {
     failure: Option<io::Error>,
 }
 
-/// Syncs, and counts it if it takes longer than the interval.
-fn timed(
-    sync: impl FnOnce() -> io::Result<()>,
-    interval: Duration,
-    state: &Mutex<SyncState>,
-) -> io::Result<()> {
+/// Syncs a file, unless its file system cannot, and counts it if it takes longer than the interval.
+/// Returns when it began.
+fn sync(file: &mut Option<Sync>, interval: Duration, state: &Mutex<SyncState>) -> Instant {
     let began = Instant::now();
+    let Some(file) = file.as_mut().filter(|_| !lock(state).is_unsupported) else { return began };
     lock(state).late_at = began.checked_add(interval);
-    let synced = sync();
+    let synced = file();
     let mut state = lock(state);
     state.late_at = None;
     state.late += u64::from(began.elapsed() > interval);
-    synced
-}
-
-/// Syncs a file, unless its file system cannot. Returns when it began.
-fn sync(file: Option<&dyn Durable>, interval: Duration, state: &Mutex<SyncState>) -> Instant {
-    let began = Instant::now();
-    let Some(file) = file.filter(|_| !lock(state).is_unsupported) else { return began };
-    let synced = timed(|| file.sync(), interval, state);
-    let mut state = lock(state);
     match synced {
         Ok(()) => {}
         Err(error) if is_unsupported(&error) => {
@@ -75,7 +58,7 @@ fn is_unsupported(error: &io::Error) -> bool {
 
 enum SyncStep {
     /// New file. The previous one gets no more bytes.
-    Begin(Box<dyn Durable>),
+    Begin(Sync),
     Written,
     /// Syncs the rest, and confirms it.
     Finish(mpsc::Sender<()>),
@@ -94,8 +77,8 @@ impl Syncer {
         Ok(Self { steps, state })
     }
 
-    /// Syncs another file from now on, and its folder at once.
-    pub(super) fn begin(&self, file: Box<dyn Durable>) {
+    /// Syncs another file at once, and from now on.
+    pub(super) fn begin(&self, file: Sync) {
         self.send(SyncStep::Begin(file));
     }
 
@@ -139,14 +122,12 @@ impl Syncer {
 }
 
 fn run(steps: &mpsc::Receiver<SyncStep>, interval: Duration, state: &Mutex<SyncState>) {
-    let mut file: Option<Box<dyn Durable>> = None;
+    let mut file: Option<Sync> = None;
     // When to sync next, once there is something to sync.
     let mut due: Option<Instant> = None;
     let mut next = Some(Instant::now());
-    let sync = |file: &Option<Box<dyn Durable>>| {
-        // An interval may be longer than the clock runs.
-        sync(file.as_deref(), interval, state).checked_add(interval)
-    };
+    // An interval may be longer than the clock runs.
+    let sync = |file: &mut Option<Sync>| sync(file, interval, state).checked_add(interval);
     loop {
         let step = match due {
             None => steps.recv().map_err(|_| RecvTimeoutError::Disconnected),
@@ -155,25 +136,21 @@ fn run(steps: &mpsc::Receiver<SyncStep>, interval: Duration, state: &Mutex<SyncS
         match step {
             Ok(SyncStep::Written) => due = due.or(next),
             Err(RecvTimeoutError::Timeout) => {
-                next = sync(&file);
+                next = sync(&mut file);
                 due = None;
             }
             Ok(SyncStep::Begin(begun)) => {
                 // Last sync of the previous file.
-                next = sync(&file);
-                if let Err(error) = timed(|| begun.sync_folder(), interval, state) {
-                    // Some file systems cannot sync a folder. If anything else is wrong, the
-                    // next sync shows it.
-                    tracing::debug!(%error, "the folder of the recording cannot be synced");
-                }
+                sync(&mut file);
                 file = Some(begun);
+                next = sync(&mut file);
             }
             Ok(SyncStep::Finish(done)) => {
-                sync(&file);
+                sync(&mut file);
                 return drop(done);
             }
             Err(RecvTimeoutError::Disconnected) => {
-                sync(&file);
+                sync(&mut file);
                 return;
             }
         }
@@ -184,34 +161,20 @@ fn run(steps: &mpsc::Receiver<SyncStep>, interval: Duration, state: &Mutex<SyncS
 mod tests {
     use super::*;
 
-    /// Disk that logs its calls, and returns `answers`.
-    struct Disk {
-        name: &'static str,
-        log: mpsc::Sender<String>,
-        answers: mpsc::Receiver<io::Result<()>>,
-    }
-
-    impl Durable for Disk {
-        fn sync(&self) -> io::Result<()> {
-            self.log.send(format!("sync {}", self.name)).unwrap();
-            self.answers.recv().unwrap_or(Ok(()))
-        }
-
-        fn sync_folder(&self) -> io::Result<()> {
-            self.log.send(format!("folder of {}", self.name)).unwrap();
-            self.answers.recv().unwrap_or(Ok(()))
-        }
-    }
-
     type Answers = mpsc::Sender<io::Result<()>>;
 
-    fn disk(name: &'static str, log: &mpsc::Sender<String>) -> (Box<dyn Durable>, Answers) {
-        let (answer, answers) = mpsc::channel();
-        (Box::new(Disk { name, log: log.clone(), answers }), answer)
+    /// Makes a disk that logs its calls, and returns what is sent to it.
+    fn disk(name: &'static str, log: &mpsc::Sender<&'static str>) -> (Sync, Answers) {
+        let (log, (answer, answers)) = (log.clone(), mpsc::channel());
+        let sync = move || {
+            log.send(name).unwrap();
+            answers.recv().unwrap_or(Ok(()))
+        };
+        (Box::new(sync), answer)
     }
 
     /// Starts to sync a disk. Returns its log and the sender of its answers.
-    fn started(interval: Duration) -> (Syncer, mpsc::Receiver<String>, Answers) {
+    fn started(interval: Duration) -> (Syncer, mpsc::Receiver<&'static str>, Answers) {
         let (log, logged) = mpsc::channel();
         let syncer = Syncer::start(interval).unwrap();
         let (file, answer) = disk("one", &log);
@@ -220,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_synced_after_its_folder() {
+    fn a_file_is_synced_at_both_ends() {
         let (log, logged) = mpsc::channel();
         let syncer = Syncer::start(Duration::MAX).unwrap();
         for name in ["one", "two"] {
@@ -229,11 +192,7 @@ mod tests {
         }
         syncer.finish().unwrap();
         drop((log, syncer));
-        let logged: Vec<String> = logged.iter().collect();
-        let last = logged.len() - 1;
-        assert_eq!(logged[0], "folder of one");
-        assert_eq!(&logged[logged.len() - 3..last], ["sync one", "folder of two"]);
-        assert_eq!(logged[last], "sync two");
+        assert_eq!(logged.iter().collect::<Vec<_>>(), ["one", "one", "two", "two"]);
     }
 
     /// In real time, like a disk: written bytes are synced without a further call.
@@ -241,10 +200,10 @@ mod tests {
     fn written_bytes_are_synced_once_an_interval() {
         let (syncer, logged, answer) = started(Duration::from_millis(20));
         drop(answer);
-        assert_eq!(logged.recv().unwrap(), "folder of one");
+        logged.recv().unwrap();
         for _ in 0..3 {
             syncer.written().unwrap();
-            assert_eq!(logged.recv_timeout(Duration::from_secs(60)).unwrap(), "sync one");
+            logged.recv_timeout(Duration::from_secs(60)).unwrap();
         }
         assert!(logged.try_recv().is_err());
     }
@@ -253,8 +212,7 @@ mod tests {
     fn a_slow_disk_is_counted_and_nobody_waits_for_it() {
         let (syncer, logged, answer) = started(Duration::ZERO);
         syncer.written().unwrap();
-        // The folder hangs and then the file, but each of these calls returns, and the hanging sync
-        // is counted meanwhile.
+        // Each of these calls returns, and the hanging sync is counted meanwhile.
         for late in 1..3 {
             logged.recv().unwrap();
             for _ in 0..1000 {
@@ -271,7 +229,6 @@ mod tests {
     #[test]
     fn a_file_system_without_sync_fails_nothing() {
         let (syncer, _logged, answer) = started(Duration::ZERO);
-        answer.send(Ok(())).unwrap();
         // ENOSYS.
         answer.send(Err(io::ErrorKind::Unsupported.into())).unwrap();
         syncer.written().unwrap();
@@ -284,9 +241,9 @@ mod tests {
     fn a_failed_sync_fails_every_later_write() {
         let (syncer, logged, answer) = started(Duration::ZERO);
         answer.send(Ok(())).unwrap();
+        syncer.written().unwrap();
         answer.send(Err(io::ErrorKind::StorageFull.into())).unwrap();
         drop(answer);
-        syncer.written().unwrap();
         for _ in 0..2 {
             logged.recv().unwrap();
         }
