@@ -10,10 +10,9 @@ use std::time::Duration;
 use super::RecordingError;
 use super::latched::{Latched, LatchedMessage, LatchedTopic};
 use super::mcap::{
-    Compression, DefinitionWriter, Definitions, Input, McapWriter, MessageHeader, Records, header,
-    kind, parse_metadata,
+    Compression, Input, McapWriter, MessageHeader, Records, header, kind, parse_metadata,
 };
-use super::messages::{Messages, lost_schema, time};
+use super::messages::{lost_schema, parse, time};
 use super::polls::StreamPolls;
 use super::range::TimeRange;
 use super::reader::parse_sensor_metadata;
@@ -134,7 +133,6 @@ pub fn cut<R: Read + Send + 'static>(
         writer: McapWriter::start_copy(output, &head, compression.unwrap_or(known))
             .map_err(RecordingError::write)?,
         keeps_compression: compression.is_none(),
-        definitions: DefinitionWriter::default(),
         range: TimeRange::new(&range),
         identity: BTreeMap::new(),
         latched: Latched::default(),
@@ -148,7 +146,7 @@ pub fn cut<R: Read + Send + 'static>(
         copy.step(number, source).map_err(RecordingError::write)?;
         if source.is_over {
             // The channels and schemas that have no message in the copy.
-            if !copy.definitions.rest(&source.definitions, lost_schema, &mut copy.writer) {
+            if !source.records.definitions().write_rest(lost_schema, &mut copy.writer) {
                 copy.outcome.add_damage(source.records.report_damage());
             }
         } else {
@@ -158,7 +156,7 @@ pub fn cut<R: Read + Send + 'static>(
     }
     copy.count_scans(true);
     // Makes room for the index.
-    drop((sources, copy.definitions));
+    drop(sources);
     copy.writer.end().map_err(RecordingError::write)?;
     Ok(copy.outcome)
 }
@@ -182,13 +180,8 @@ struct Source {
     records: Records,
     /// Content of the file's header.
     header: Option<Vec<u8>>,
-    definitions: Definitions,
-    /// Topics of its channels.
-    messages: Messages,
     /// Number in the copy of each channel, once it has one.
     channels: HashMap<u16, u16>,
-    /// What each channel latches, once it was asked for.
-    latched: HashMap<u16, Option<LatchedTopic>>,
     /// Metadata before the next message.
     metadata: Vec<Vec<u8>>,
     /// Content of the next message.
@@ -207,7 +200,7 @@ impl Source {
     fn advance(&mut self, outcome: &mut Copied) -> Result<(), RecordingError> {
         let mut metadata_bytes = 0;
         while metadata_bytes <= MAX_METADATA_BYTES {
-            let (kind, content) = match self.records.next() {
+            let (kind, content, _) = match self.records.next() {
                 Ok(Some(record)) => record,
                 Ok(None) => {
                     outcome.was_truncated |= self.records.is_truncated();
@@ -223,13 +216,8 @@ impl Source {
             match kind {
                 kind::HEADER => drop(self.header.get_or_insert_with(|| content.to_vec())),
                 kind::SCHEMA | kind::CHANNEL => {
-                    self.messages.define(kind, content);
                     // A schema changes its channels.
                     self.channels.clear();
-                    self.latched.clear();
-                    if !self.definitions.define(kind, content) {
-                        outcome.add_damage(self.records.report_damage());
-                    }
                 }
                 kind::METADATA => {
                     metadata_bytes += content.len();
@@ -252,19 +240,12 @@ impl Source {
         let mut known = self.records.chunk_bytes().compressions.iter();
         known.rfind(|known| known.is_written()).copied().unwrap_or_default()
     }
-
-    fn latched_topic(&mut self, channel: u16) -> Option<LatchedTopic> {
-        let Self { definitions, latched, .. } = self;
-        let find = || LatchedTopic::of_channel(&definitions.channel(channel)?);
-        latched.entry(channel).or_insert_with(find).clone()
-    }
 }
 
 /// Copy in progress.
 struct Copy<W> {
     writer: McapWriter<W>,
     keeps_compression: bool,
-    definitions: DefinitionWriter,
     range: TimeRange,
     /// Latest successful replies that identify the sensor, and the numbers of their sources.
     identity: BTreeMap<ReplyKind, (usize, MessageHeader, Vec<u8>)>,
@@ -299,7 +280,7 @@ impl<W: Write> Copy<W> {
                 self.count_scans(false);
                 self.metadata = Some((number, content.clone()));
             }
-            self.writer.copy_metadata(name, &content)?;
+            self.writer.metadata(name, &content)?;
         }
         let Some(content) = source.message.take() else { return Ok(()) };
         if self.keeps_compression {
@@ -307,7 +288,7 @@ impl<W: Write> Copy<W> {
             self.writer.compress_at_least(source.compression());
         }
         let Some((mut header, data)) = MessageHeader::parse(&content) else { return Ok(()) };
-        let record = source.messages.parse(&content).and_then(Result::ok);
+        let record = parse(&content, source.records.definitions()).and_then(Result::ok);
         let record = record.filter(|record| record.topic.is_none());
         if let Some(record) = &record {
             self.range.see(record);
@@ -326,14 +307,16 @@ impl<W: Write> Copy<W> {
             return Ok(());
         }
         let is_early = self.chunk_began.is_none() && self.range.begins_after(at);
-        let latched = is_early.then(|| source.latched_topic(header.channel)).flatten();
+        let definitions = source.records.definitions();
+        let channel = is_early.then(|| definitions.channel(header.channel)).flatten();
+        let latched = channel.as_ref().and_then(LatchedTopic::of_channel);
         if !is_inside && identity.is_none() && latched.is_none() {
             return Ok(());
         }
-        let channel = source.channels.get(&header.channel).copied().or_else(|| {
-            let (known, writer) = (&source.definitions, &mut self.writer);
-            self.definitions.channel(header.channel, known, lost_schema, writer)
-        });
+        let channel =
+            source.channels.get(&header.channel).copied().or_else(|| {
+                definitions.write_channel(header.channel, lost_schema, &mut self.writer)
+            });
         let Some(channel) = channel else {
             self.outcome.add_damage(source.records.report_damage());
             return Ok(());

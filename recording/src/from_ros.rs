@@ -24,7 +24,7 @@ const LONGEST: f64 = 262_143.0;
 const REVOLUTIONS: RangeInclusive<f32> = 0.001..=1.0;
 
 /// Scan of a sensor of Hokuyo, as far as a message has it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug)]
 pub(super) struct MessageScan {
     pub(super) stream: Stream,
     pub(super) values: Values,
@@ -109,26 +109,19 @@ fn assumed(message: &LaserScan, resolution: u16) -> Option<Model> {
     if resolution == 1024 && (has_limits(message, &Model::default())) {
         return Some(Model::default());
     }
-    let (name, speed) = if resolution == 1024 { ("URG", "600") } else { ("UST", "2400") };
-    model(name, [min.max(1.0), max].map(|limit| limit.round() as u32), resolution, speed)
-}
-
-/// Sensor of this name, these limits in millimetres, resolution and revolutions a minute.
-fn model(name: &str, [min, max]: [u32; 2], resolution: u16, speed: &str) -> Option<Model> {
-    let (last, front) = (resolution / 4 * 3, resolution / 8 * 3);
-    let numbers = [min, max, resolution.into(), last.into(), front.into()];
-    let [min, max, resolution, last, front] = numbers.map(|number| number.to_string());
-    let pairs = [
-        ("MODL", name),
-        ("DMIN", &*min),
-        ("DMAX", &*max),
-        ("ARES", &*resolution),
-        ("AMIN", "0"),
-        ("AMAX", &*last),
-        ("AFRT", &*front),
+    let (name, speed) = if resolution == 1024 { ("URG", 600) } else { ("UST", 2400) };
+    let numbers = [
+        ("DMIN", min.max(1.0).round() as u32),
+        ("DMAX", max.round() as u32),
+        ("ARES", resolution.into()),
+        ("AMIN", 0),
+        ("AMAX", u32::from(resolution) / 4 * 3),
+        ("AFRT", u32::from(resolution) / 8 * 3),
         ("SCAN", speed),
     ];
-    Parameters::from_pairs(pairs).ok().map(Model::from)
+    let pairs = numbers.map(|(key, number)| (key, number.to_string()));
+    let pairs = pairs.iter().map(|(key, number)| (*key, &**number));
+    Parameters::from_pairs(pairs.chain([("MODL", name)])).ok().map(Model::from)
 }
 
 /// Directions of the first and the last point of a window, in steps: by the definition of a
@@ -199,92 +192,5 @@ fn value(range: f32, geometry: &Geometry) -> u32 {
         far if far > f64::from(*geometry.distances().end()) => geometry.far_value(),
         millimetres if millimetres >= 1.0 => millimetres as u32,
         _ => geometry.unknown_value(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::ros;
-
-    /// A URG-04LX in SCIP 1.1, and sensors of each kind in SCIP 2: name, limits, resolution.
-    fn models() -> Vec<Model> {
-        let models = [
-            ("URG-04LX", [20, 5600], 1024),
-            ("UTM-30LX", [23, 60_000], 1440),
-            ("UST-10LX", [20, 30_000], 1440),
-            ("X", [100, 100_000], 1440),
-        ];
-        let models = models.map(|(name, limits, resolution)| {
-            model(name, limits, resolution, "2400").expect("invalid parameters")
-        });
-        [Model::default()].into_iter().chain(models).collect()
-    }
-
-    #[test]
-    fn distances_are_exact_and_codes_keep_what_they_mean() {
-        for model in models() {
-            let geometry = model.geometry();
-            for sent in (0..70_000).chain([99_999, 100_000, 100_001, 262_143]) {
-                let measured = geometry.measurement(sent);
-                let read = geometry.measurement(value(measured.range(), &geometry));
-                assert_eq!(read.distance(), measured.distance(), "{sent}, {model:?}");
-                let is_far = |range: f32| range == f32::INFINITY;
-                assert_eq!(is_far(read.range()), is_far(measured.range()), "{sent}, {model:?}");
-            }
-        }
-    }
-
-    fn message(window: Window) -> LaserScan {
-        message_of(&Stream { model: Model::default(), window })
-    }
-
-    fn message_of(stream: &Stream) -> LaserScan {
-        let values = vec![500; stream.window.points()];
-        let scan = Scan::builder(stream.window, values).geometry(stream.model.geometry());
-        let scan = scan.build().unwrap();
-        let mut bytes = Vec::new();
-        ros::write_scan(&mut bytes, &scan, scan.first_ray_stamp(), "laser");
-        ros::read_scan(&bytes).unwrap()
-    }
-
-    /// With the sensor described, or by directions and limits alone.
-    #[test]
-    fn messages_tell_their_sensor() {
-        for model in models() {
-            for (start, end, cluster) in [(0, 768, 1), (3, 700, 1), (128, 639, 4), (384, 384, 1)] {
-                let stream = Stream {
-                    window: model.window(start, end, cluster).unwrap(),
-                    model: model.clone(),
-                };
-                let message = message_of(&stream);
-                let others = models().into_iter().filter(|other| *other != model);
-                let others = others.map(|model| Stream { model, ..stream.clone() });
-                let known = others.clone().chain([stream.clone()]);
-                assert_eq!(MessageScan::from_message(&message, known).unwrap().stream, stream);
-                let read = MessageScan::from_message(&message, others).unwrap();
-                assert_eq!(read.values.distances, vec![500; stream.window.points()]);
-                let geometries = [&read.stream.model, &model].map(Model::geometry);
-                let [found, expected] = geometries
-                    .map(|geometry| (geometry.steps_per_revolution(), geometry.degrees(0)));
-                assert_eq!((read.stream.window, found), (stream.window, expected), "{model:?}");
-            }
-        }
-    }
-
-    #[test]
-    fn a_message_of_another_laser_scanner_is_none_of_ours() {
-        let ours = message(Window::DETECTION);
-        for other in [
-            LaserScan { angle_increment: 0.0044, ..ours.clone() },
-            LaserScan { angle_increment: -ours.angle_increment, ..ours.clone() },
-            LaserScan { angle_min: ours.angle_min + 0.003, ..ours.clone() },
-            LaserScan { angle_min: -3.1, ..ours.clone() },
-            LaserScan { angle_min: f32::NAN, ..ours.clone() },
-            LaserScan { ranges: Vec::new(), ..ours.clone() },
-            LaserScan { ranges: vec![1.0; 70_000], ..ours.clone() },
-        ] {
-            assert_eq!(MessageScan::from_message(&other, None), None);
-        }
     }
 }

@@ -30,20 +30,3 @@ pub(super) fn parse_version(lines: &[Vec<u8>]) -> Option<Version> {
     let frame = [b"V\n0\n".to_vec(), lines.join(&b'\n')].concat();
     Reply::parse(&Command::Version, &frame).ok().map(|reply| Version::from_reply(&reply))
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn metadata_become_a_version_and_what_is_unknown_is_empty() {
-        let pairs = [("serial_number", "H1\nSERI:H2"), ("status", "good"), ("rate", "10")];
-        let metadata = pairs.map(|(key, value)| (key.to_owned(), value.to_owned())).into();
-        let version = parse_version(&version_lines(&metadata)).unwrap();
-        assert_eq!(version.serial_number.to_string(), "H1");
-        assert_eq!(version.status.map(|status| status.to_string()), Some("good".to_owned()));
-        assert_eq!((version.vendor, version.firmware), Default::default());
-        let nothing = parse_version(&version_lines(&BTreeMap::new())).unwrap();
-        assert_eq!(nothing, Version::default());
-    }
-}

@@ -27,8 +27,7 @@ impl LatchedTopic {
     /// Returns the topic of a channel if ROS 2 latches it: one of its publishers offers the
     /// durability `transient_local`. rosbag2 writes its number up to Iron, and its name since Jazzy.
     pub(super) fn of_channel(channel: &Channel<'_>) -> Option<Self> {
-        let (_, profiles) =
-            channel.metadata.iter().find(|(key, _)| *key == "offered_qos_profiles")?;
+        let profiles = channel.metadata("offered_qos_profiles")?;
         let is_latched = profiles.split([',', '\n', '{', '}', '[', ']']).any(|line| {
             let line = line.trim();
             let pair = line.strip_prefix("- ").unwrap_or(line).split_once(':');

@@ -17,21 +17,18 @@ pub(super) struct TimeRange {
     first: Option<SystemTime>,
     /// Set once a reply to `V` was read.
     has_version: bool,
-    /// True until the times of the part were taken.
-    are_times_wanted: bool,
 }
 
 impl TimeRange {
     pub(super) fn new(range: &impl RangeBounds<Duration>) -> Self {
         let limits = (range.start_bound().cloned(), range.end_bound().cloned());
-        let are_times_wanted = limits != (Bound::Unbounded, Bound::Unbounded);
-        Self { limits, first: None, has_version: false, are_times_wanted }
+        Self { limits, first: None, has_version: false }
     }
 
-    /// Returns the log times of the part the first time that they are known, and then `None`.
-    pub(super) fn take_times(&mut self) -> Option<RangeInclusive<u64>> {
-        let first = self.first.filter(|_| self.has_version && self.are_times_wanted)?;
-        self.are_times_wanted = false;
+    /// Returns the log times of a part, once they are known.
+    pub(super) fn times(&self) -> Option<RangeInclusive<u64>> {
+        let is_part = self.limits != (Bound::Unbounded, Bound::Unbounded);
+        let first = self.first.filter(|_| self.has_version && is_part)?;
         let at = |limit: Bound<Duration>, unbounded| match limit {
             Bound::Included(since) | Bound::Excluded(since) => {
                 nanos(since_1970(first).saturating_add(since))

@@ -13,7 +13,7 @@ use std::time::{Duration, SystemTime};
 use super::folder::recording_files;
 use super::left_out::{LeftOutCounter, LeftOutReason};
 use super::mcap::{ChunkBytes, Input, Records, kind, parse_metadata};
-use super::messages::{Messages, Unread};
+use super::messages::{self, Unread};
 use super::range::TimeRange;
 use super::record::{Entry, Record};
 use super::stream::Stream;
@@ -36,7 +36,7 @@ const MAX_OTHER_TOPICS: usize = 16;
 /// follow. Any other error is the last item. Reading blocks the thread.
 ///
 /// The file's longest chunk, at most 64 MiB, bounds the memory, whatever the file claims: one more
-/// of its messages may be in memory too. With feature `compression` the limit also applies to its
+/// of its messages may be in memory too, and up to 64 MiB of definitions of message types. With feature `compression` the limit also applies to its
 /// decompressed bytes. After damage in a file without chunks, up to 64 MiB of it are in memory.
 ///
 /// ```no_run
@@ -53,7 +53,6 @@ pub struct Recording {
     records: Records,
     /// Files that follow.
     further: VecDeque<PathBuf>,
-    messages: Messages,
     metadata: BTreeMap<String, String>,
     /// Bytes of records read so far, without compression.
     read_bytes: usize,
@@ -100,7 +99,6 @@ impl Recording {
         let mut recording = Self {
             records: Records::new(input),
             further,
-            messages: Messages::default(),
             metadata: BTreeMap::new(),
             read_bytes: 0,
             ahead: VecDeque::new(),
@@ -189,7 +187,6 @@ impl Recording {
     fn open_next(&mut self) -> Result<bool, RecordingError> {
         let Some(path) = self.further.pop_front() else { return Ok(false) };
         self.records.continue_in(open(path)?);
-        self.messages = Messages::default();
         if let Some(times) = &self.times {
             self.records.leave_out_others(times)?;
         }
@@ -253,7 +250,7 @@ impl Recording {
     /// Reads one record of the file, `Ok(None)` if it is no item of a recording. After an error other
     /// than [`RecordingError::Damaged`], no records follow.
     fn advance(&mut self) -> Option<Result<Option<Item>, RecordingError>> {
-        let (kind, content) = match self.records.next() {
+        let (kind, content, definitions) = match self.records.next() {
             Ok(Some(record)) => record,
             Ok(None) => {
                 let opened = self.open_next().inspect_err(|_| self.further.clear());
@@ -263,7 +260,7 @@ impl Recording {
         };
         self.read_bytes = self.read_bytes.saturating_add(content.len());
         Some(Ok(match kind {
-            kind::MESSAGE => self.messages.parse(content).map(|parsed| match parsed {
+            kind::MESSAGE => messages::parse(content, definitions).map(|parsed| match parsed {
                 Ok(record) => Item::Record(record),
                 Err(unread) => Item::Unread(unread),
             }),
@@ -271,10 +268,7 @@ impl Recording {
                 self.metadata = metadata;
                 Item::Description(Stream::from_metadata(&self.metadata))
             }),
-            kind => {
-                self.messages.define(kind, content);
-                None
-            }
+            _ => None,
         }))
     }
 
@@ -304,7 +298,9 @@ impl Recording {
             }
             let is_version = self.range.see(&record);
             let is_inside = is_version || self.range.contains(record.at);
-            if let Some(times) = self.range.take_times() {
+            if self.times.is_none()
+                && let Some(times) = self.range.times()
+            {
                 let left_out = self.records.leave_out_others(&times);
                 self.times = Some(times);
                 if let Err(error) = left_out {
@@ -319,7 +315,7 @@ impl Recording {
 }
 
 fn open(path: PathBuf) -> Result<Input, RecordingError> {
-    File::open(&path).map(Input::File).map_err(RecordingError::open(path))
+    File::open(&path).map(Input::new).map_err(RecordingError::open(path))
 }
 
 /// Part of a file that is read one by one.

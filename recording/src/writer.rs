@@ -67,7 +67,7 @@ pub(super) struct Writer {
     chunk_began: Option<(u64, Instant)>,
     part: Part,
     // Each file begins with these, so that you can replay it alone.
-    metadata: Option<BTreeMap<String, String>>,
+    metadata: Option<Vec<u8>>,
     /// Latest successful replies that identify the sensor, by their commands: the message and its stamp.
     identity: BTreeMap<&'static str, (Vec<u8>, SystemTime)>,
 }
@@ -142,7 +142,8 @@ impl Writer {
         self.write(Topic::Events, sequence, times)
     }
 
-    pub(super) fn metadata(&mut self, metadata: BTreeMap<String, String>) -> io::Result<()> {
+    pub(super) fn metadata(&mut self, metadata: &BTreeMap<String, String>) -> io::Result<()> {
+        let metadata = mcap::metadata(METADATA, metadata);
         self.step(|mcap| mcap.metadata(METADATA, &metadata))?;
         self.metadata = Some(metadata);
         Ok(())
@@ -294,16 +295,6 @@ mod tests {
     use super::super::parts::{Limits, MAX_PART_ENTRIES};
     use super::*;
 
-    #[test]
-    fn the_log_starts_at_the_wall_clock_and_runs_steadily() {
-        let (steady, wall) = (Instant::now(), SystemTime::UNIX_EPOCH + Duration::from_secs(1_000));
-        let (began, second) = (Times { steady, wall }, Duration::from_secs(1));
-        assert_eq!(began.continued_to(steady + second), 1_001_000_000_000);
-        // Scan received before the recorder was made.
-        let before = steady.checked_sub(second).map(|at| began.continued_to(at));
-        assert_eq!(before, Some(999_000_000_000));
-    }
-
     /// A file can only be split at a scan, and grows until one comes.
     #[test]
     fn a_file_split_by_its_chunks_has_an_index() {
@@ -316,7 +307,7 @@ mod tests {
         let mut writer = Writer::new(out, parts, "laser".to_owned(), Compression::Plain).unwrap();
         let mut times = writer.began;
         while writer.mcap.index_entries() < MAX_PART_ENTRIES - 4 {
-            writer.metadata(BTreeMap::new()).unwrap();
+            writer.metadata(&BTreeMap::new()).unwrap();
         }
         // Each is in a separate chunk.
         for _ in 0..8 {

@@ -2,13 +2,14 @@
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
+use tokio::time::Instant;
 use tokio_scip::protocol::{Command, Reply as Parsed};
 use tokio_scip::{Rate, Scan, Sensor, Window};
 use urg_recording::{Entry, LaserScan, Recorder, Recording, RecordingError};
 
-use super::sink::{Sink, polls, record, sensor};
+use super::sink::{Sink, polls, record, sensor, window};
 
 /// An empty folder that is removed at the end of its test.
 pub(crate) struct Folder(PathBuf);
@@ -110,6 +111,25 @@ async fn a_recording_is_read_as_the_driver_delivered_it() {
     });
     assert!(version.unwrap().starts_with(b"V\n0\nVEND:Hokuyo"));
     assert!(version.unwrap().ends_with(b"STAT:FW Normal[FinalDist with shadow  ]\n\n"));
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_log_starts_at_the_wall_clock_and_runs_steadily() {
+    let (sink, second) = (Sink::new(), Duration::from_secs(1));
+    tokio::time::advance(second).await;
+    let wall = SystemTime::now();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let made = Instant::now();
+    // One scan was received before the recorder was made.
+    for at in [made - second, made + second] {
+        let scan = Scan::builder(window(300, 301, 1), vec![500; 2]).received_at(at).build();
+        recorder.record(&Ok(scan.unwrap())).unwrap();
+    }
+    recorder.finish().await.unwrap();
+    let times: Vec<_> = sink.records().iter().map(|record| record.at).collect();
+    assert_eq!(times[1].duration_since(times[0]).unwrap(), 2 * second);
+    let late = times[1].duration_since(wall).unwrap() - second;
+    assert!(late < 10 * second, "{late:?}");
 }
 
 #[tokio::test(start_paused = true)]

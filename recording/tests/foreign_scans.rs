@@ -209,7 +209,7 @@ fn message(
     out.resize(out.len().next_multiple_of(4), 0);
     let (first, last) = (f64::from(window.start()), f64::from(window.end()));
     let cluster = f64::from(window.cluster_count());
-    let points = window.points();
+    let mut points = window.points();
     let middle = first + (cluster - 1.0) / 2.0;
     let (from, to) = match form {
         Form::UrgNode => (first, last),
@@ -218,12 +218,14 @@ fn message(
     let (front, step) = (f64::from(scanner.front()), scanner.step());
     let (mut from, mut to, mut by) = ((from - front) * step, (to - front) * step, cluster * step);
     if form == Form::OtherLaser {
-        match random.below(4) {
+        match random.below(6) {
             0 => (from, by) = (from + step / 3.0, by),
             // Clockwise, as of a sensor that is mounted upside down.
             1 => (from, to, by) = (to, from, -by),
             2 => by *= 0.73,
-            _ => (from, to) = (f64::NAN, to),
+            3 => from = f64::NAN,
+            4 => from = -3.1,
+            _ => points = *random.pick(&[0, 70_000]),
         }
     }
     let (scan_time, revolution) = *random.pick(&REVOLUTIONS);
@@ -233,7 +235,12 @@ fn message(
     let (least, most) = (scanner.limits.0 / 1000.0, scanner.limits.1 / 1000.0);
     let fields = [from as f32, to as f32, by as f32, increment, scan_time, least, most];
     fields.iter().for_each(|field| put(&mut out, field.to_le_bytes()));
-    put(&mut out, (points as u32).to_le_bytes());
+    let length = match form {
+        // A length that no memory could hold.
+        Form::Short if random.once_in(8) => u32::MAX,
+        _ => points as u32,
+    };
+    put(&mut out, length.to_le_bytes());
     let mut values = Vec::new();
     for _ in 0..points {
         let distance = 23 + random.below(scanner.limits.1 as u64 - 22) as u32;

@@ -392,6 +392,16 @@ fn fields_and_kinds_of_later_versions_are_skipped() {
 }
 
 #[test]
+fn a_chunk_with_zeros_for_its_lengths_is_damage() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    let mut damaged = chunk.clone();
+    // From its size to the length of its first record.
+    damaged[9 + 16..9 + 40 + 9].fill(0);
+    let file = [MAGIC, &chunk, &damaged, &chunk, &end()].concat();
+    assert_eq!(read(&file), (vec![8 + chunk.len() as u64], 2, false));
+}
+
+#[test]
 fn malformed_metadata_does_not_hide_a_chunk() {
     let chunk = chunk_of(&[channel(), event(0)].concat());
     // Of a map of 40 bytes the last 31 are missing, and what is there is no pair.
@@ -492,6 +502,18 @@ fn a_footer_alone_ends_a_file() {
     damaged[whole.len() - end().len()] = 0x10;
     assert_eq!(read(&damaged), (vec![], 1, false));
     assert_eq!(read(&[damaged, whole].concat()), (vec![], 2, true));
+}
+
+/// A line feed would end the line that they become.
+#[test]
+fn metadata_become_a_version() {
+    let pairs = ["serial_number", "H1\nSERI:H2", "status", "good"].map(text).concat();
+    let pairs = [&text("tokio_scip")[..], &claims(pairs.len() as u32), &pairs].concat();
+    let file = [MAGIC, &of_kind(0x0c, &pairs), &end()].concat();
+    let version = Recording::read(Cursor::new(file)).unwrap().scans().version();
+    assert_eq!(version.serial_number.to_string(), "H1");
+    assert_eq!(version.status.map(|status| status.to_string()), Some("good".to_owned()));
+    assert_eq!((version.vendor, version.firmware), Default::default());
 }
 
 #[test]

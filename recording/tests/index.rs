@@ -7,6 +7,7 @@ use mcap::records::{ChunkIndex, Footer, MetadataIndex, Record, Statistics, Summa
 use tokio_scip::{Rate, Sensor, Window};
 use urg_recording::{Recorder, repair};
 
+use super::raw::{MAGIC, channel, end, of_kind};
 use super::sink::{Sink, observed, sensor};
 
 /// A record, and where it begins in the file.
@@ -203,4 +204,18 @@ async fn the_index_describes_the_whole_file() {
     let repaired = check(&repaired);
     assert_eq!(repaired.metadata.len(), 2);
     assert!(repaired.statistics.message_count > 50);
+}
+
+#[test]
+fn a_chunk_is_limited_to_768_kib() {
+    const CHUNK_HEAD: usize = 49;
+    let message = |length| of_kind(0x05, &vec![0; 22 + length]);
+    let first = message(400 << 10);
+    let rest = (768 << 10) - CHUNK_HEAD - channel().len() - first.len();
+    for (length, chunks) in [(rest, 1), (rest + 1, 2)] {
+        let file = [MAGIC, &channel(), &first, &message(length), &end()].concat();
+        let mut copy = Vec::new();
+        repair(Cursor::new(file), &mut copy).unwrap();
+        assert_eq!(mcap::Summary::read(&copy).unwrap().unwrap().chunk_indexes.len(), chunks);
+    }
 }

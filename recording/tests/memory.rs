@@ -114,9 +114,16 @@ fn metadata_is_known_at_once_near_the_start() {
 fn a_copy_of_100_mb_of_names_takes_64_mib() {
     let name = [&text(&"x".repeat(500_000))[..], &[0; 4]].concat();
     let part = [of_kind(0x0c, &name), chunk_of(&[channel(), event(0)].concat())].concat();
-    let file = Endless::new(MAGIC, part, 200);
-    let counted = measure(|| assert_eq!(repair(file, io::sink()).unwrap().messages, 200));
+    let file = |times| Endless::new(MAGIC, part.clone(), times);
+    let counted = measure(|| assert_eq!(repair(file(200), io::sink()).unwrap().messages, 200));
     assert!(counted.bytes_max < 64 << 20, "{} bytes in memory", counted.bytes_max);
+    // The index of a copy has up to 16 MiB.
+    for (times, has_index) in [(33, true), (34, false)] {
+        let mut copy = Vec::new();
+        repair(file(times), &mut copy).unwrap();
+        assert_eq!(mcap::Summary::read(&copy).unwrap().is_some(), has_index);
+        assert_eq!(mcap::MessageStream::new(&copy).unwrap().count(), times);
+    }
 }
 
 /// A message each second, as of a sensor that is polled rarely.

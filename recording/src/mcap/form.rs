@@ -17,6 +17,8 @@ const MAX_COMPRESSION_NAME: usize = 16;
 const MAX_CHUNK_HEAD: usize = CHUNK_HEAD + MAX_COMPRESSION_NAME;
 /// Longest record that is not read.
 const MAX_SKIPPED_BYTES: u64 = u64::MAX - RECORD_HEAD as u64;
+/// Length of a message without data.
+const MESSAGE_BYTES: u64 = RECORD_HEAD as u64 + 22;
 /// Number of records that must follow one without lengths of its own. Data with many zeros look
 /// like one record, but not like three.
 const FOLLOWERS: u8 = 2;
@@ -78,10 +80,8 @@ pub(super) fn record_head(bytes: &[u8]) -> Option<(u8, u64)> {
 pub(super) enum After {
     /// More bytes.
     More,
-    /// Nothing: the file may have been cut off.
-    EndOfFile,
-    /// Nothing: a chunk ends, which may have lost or gained bytes.
-    EndOfChunk,
+    /// Nothing: a file, which may have been cut off, or a chunk, which may have lost or gained bytes.
+    End,
     /// Nothing, and a record that does not end here is none.
     Nothing,
 }
@@ -132,7 +132,8 @@ pub(super) fn measure(bytes: &[u8], after: After) -> Result<Extent, Unmeasured> 
     let has_name =
         chunk.as_ref().is_some_and(|chunk| Compression::named(&chunk.compression).is_some());
     let is_wrong = match kind {
-        kind::CHUNK => chunk.is_none(),
+        // More fields of an empty chunk may be its messages.
+        kind::CHUNK => chunk.is_none() || !counts && end - fields.min(end) >= MESSAGE_BYTES,
         kind::MESSAGE_INDEX => (fields - RECORD_HEAD as u64) % 16 != 6,
         _ => false,
     };

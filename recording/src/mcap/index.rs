@@ -2,9 +2,11 @@
 //! writer keeps only the index of what it has written, so the index decides the memory of
 //! a long recording.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
-use super::{MAX_INDEX_BYTES, MessageHeader, kind, put_bytes, put_numbers, put_record};
+use super::{
+    MAX_DEFINITION_BYTES, MAX_INDEX_BYTES, MessageHeader, kind, put_bytes, put_numbers, put_record,
+};
 
 /// Messages of a chunk: their times, and their positions among its records.
 #[derive(Default)]
@@ -29,7 +31,11 @@ pub(super) struct ChunkPlace {
 /// Contents of a file's summary.
 #[derive(Default)]
 pub(super) struct Index {
-    /// Latest schema and channel of each number, as records.
+    /// Number of each definition, by its kind and its content after the number.
+    numbers: HashMap<(u8, Vec<u8>), u16>,
+    /// Length of the definitions.
+    definition_bytes: usize,
+    /// Schema and channel of each number, as records.
     schemas: BTreeMap<u16, Vec<u8>>,
     pub(super) channels: BTreeMap<u16, Vec<u8>>,
     /// Length of the channels.
@@ -88,23 +94,39 @@ impl Index {
         self.chunks + self.metadata
     }
 
-    /// Keeps a schema or a channel for the summary. Returns its record if it is new.
-    pub(super) fn declare(&mut self, kind: u8, number: u16, content: &[u8]) -> Option<&[u8]> {
+    /// Returns the number of a schema or a channel that was declared.
+    pub(super) fn number(&self, kind: u8, content: &[u8]) -> Option<u16> {
+        self.numbers.get(&(kind, content.to_vec())).copied()
+    }
+
+    /// Keeps a new schema or channel for the summary, with the wanted number if that is free. Returns
+    /// the number and the record, or `None` if there is no room for it.
+    pub(super) fn declare(
+        &mut self,
+        kind: u8,
+        wanted: u16,
+        content: &[u8],
+    ) -> Option<(u16, &[u8])> {
         let group = if kind == kind::SCHEMA { &mut self.schemas } else { &mut self.channels };
-        let mut record = Vec::new();
-        put_record(&mut record, kind, |out| {
+        let bytes = self.definition_bytes + content.len();
+        // Mostly the wanted one, or one that is not used yet.
+        let unused = u16::try_from(group.len() + 1).unwrap_or(1);
+        let mut numbers = [wanted, unused].into_iter().chain(1..=u16::MAX);
+        let number = numbers.find(|number| !group.contains_key(number))?;
+        if bytes > MAX_DEFINITION_BYTES {
+            return None;
+        }
+        self.definition_bytes = bytes;
+        self.numbers.insert((kind, content.to_vec()), number);
+        let record = group.entry(number).or_default();
+        put_record(record, kind, |out| {
             out.extend_from_slice(&number.to_le_bytes());
             out.extend_from_slice(content);
         });
-        let kept = group.entry(number).or_default();
-        if *kept == record {
-            return None;
-        }
         if kind == kind::CHANNEL {
-            self.channel_bytes = self.channel_bytes - kept.len() + record.len();
+            self.channel_bytes += record.len();
         }
-        *kept = record;
-        Some(kept)
+        Some((number, record))
     }
 
     /// Adds a metadata record of this name, `length` bytes long, at `start`.
@@ -156,10 +178,11 @@ impl Index {
     /// Appends the summary to `out`, which starts at `base` in the file. Returns the
     /// positions in the file of the summary and of the offsets at its end, or 0 for both
     /// if the index was too long.
-    pub(super) fn put_summary(self, out: &mut Vec<u8>, base: u64) -> [u64; 2] {
+    pub(super) fn put_summary(mut self, out: &mut Vec<u8>, base: u64) -> [u64; 2] {
         if self.is_too_long {
             return [0, 0];
         }
+        self.numbers = HashMap::new();
         let start = base + out.len() as u64;
         let statistics = self.statistics();
         let mut offsets: Vec<u8> = Vec::new();
@@ -208,42 +231,4 @@ impl Index {
 
 fn extend(span: Option<(u64, u64)>, from: u64, to: u64) -> (u64, u64) {
     span.map_or((from, to), |(start, end)| (start.min(from), end.max(to)))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::write::{channel, header, schema};
-    use super::super::{Compression, McapWriter};
-    use super::*;
-
-    /// Writes `count` chunks of one message.
-    fn chunks(count: usize) -> McapWriter<Vec<u8>> {
-        let mut writer =
-            McapWriter::start(Vec::new(), &header("", ""), Compression::Plain).unwrap();
-        writer.declare(kind::SCHEMA, 1, &schema("std_msgs/msg/String", "string data"));
-        writer.declare(kind::CHANNEL, 0, &channel(1, "/scan"));
-        for sequence in 0..count as u32 {
-            let time = u64::from(sequence);
-            let header = MessageHeader { channel: 0, sequence, log_time: time, publish_time: time };
-            writer.message(header, &[0; 4]).unwrap();
-            writer.flush().unwrap();
-        }
-        writer
-    }
-
-    #[test]
-    fn an_index_over_its_limit_is_dropped_with_its_memory() {
-        let name = "x".repeat(MAX_INDEX_BYTES / 4);
-        for (count, is_kept) in [(3, true), (4, false)] {
-            let mut writer = chunks(999);
-            (0..count).for_each(|_| writer.metadata(&name, &BTreeMap::new()).unwrap());
-            writer.flush().unwrap();
-            assert_eq!(writer.index.chunk_indexes.capacity() > 0, is_kept);
-            assert_eq!(writer.index.metadata_indexes.capacity() > 0, is_kept);
-            writer.end().unwrap();
-            let file = writer.out;
-            assert_eq!(::mcap::Summary::read(&file).unwrap().is_some(), is_kept);
-            assert_eq!(::mcap::MessageStream::new(&file).unwrap().count(), 999);
-        }
-    }
 }

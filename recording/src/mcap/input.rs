@@ -10,42 +10,36 @@ use super::form::{After, is_well_formed, measure, record_head};
 use super::{FILE_END, FOOTER_BYTES, Fields, MAX_INDEX_BYTES, RECORD_HEAD, kind};
 
 /// Bytes of a recording, in order.
-pub(crate) enum Input {
-    File(File),
-    /// Anything that can only be read forwards.
-    Stream(Box<dyn Read + Send>),
+pub(crate) struct Input {
+    pub(super) bytes: Box<dyn Read + Send>,
+    /// The same file, unless it can only be read forwards.
+    file: Option<File>,
 }
 
 impl Default for Input {
     fn default() -> Self {
-        Self::Stream(Box::new(io::empty()))
+        Self::new(io::empty())
     }
 }
 
 impl Input {
     /// Knows a file by its type.
     pub(crate) fn new(input: impl Read + Send + 'static) -> Self {
-        let mut input = Some(input);
-        let file = (&mut input as &mut dyn Any).downcast_mut::<Option<File>>();
-        match (file.and_then(Option::take), input) {
-            (Some(file), _) => Self::File(file),
-            (None, Some(input)) => Self::Stream(Box::new(input)),
-            (None, None) => Self::default(),
-        }
+        let file = (&input as &dyn Any).downcast_ref::<File>();
+        let file = file.and_then(|file| file.try_clone().ok());
+        Self { bytes: Box::new(input), file }
     }
 
     /// Continues at this position of the file.
     pub(super) fn continue_at(&mut self, place: u64) -> io::Result<()> {
-        match self {
-            Self::File(file) => file.seek(SeekFrom::Start(place)).map(drop),
-            Self::Stream(_) => Err(io::ErrorKind::NotSeekable.into()),
-        }
+        let file = self.file.as_mut().ok_or(io::ErrorKind::NotSeekable)?;
+        file.seek(SeekFrom::Start(place)).map(drop)
     }
 
     /// Reads the index at the end of the file. Returns an empty one if the index is
     /// incomplete, or if this is not a file. Reading then continues where it was.
     pub(super) fn index(&mut self) -> io::Result<FileIndex> {
-        let Self::File(file) = self else { return Ok(FileIndex::default()) };
+        let Some(file) = &mut self.file else { return Ok(FileIndex::default()) };
         // A pipe has no position.
         let Ok(here) = file.stream_position() else { return Ok(FileIndex::default()) };
         let index = index(file).unwrap_or_default();
@@ -97,7 +91,7 @@ impl FileIndex {
             let (kind, content) = self.record(self.at)?;
             let start = std::mem::replace(&mut self.at, content.end);
             let record = self.bytes(start..content.end);
-            let Ok(extent) = measure(record, After::EndOfChunk) else { continue };
+            let Ok(extent) = measure(record, After::End) else { continue };
             let fields = content.start..start + extent.fields as usize;
             if matches!(kind, kind::SCHEMA | kind::CHANNEL)
                 && is_well_formed(kind, self.bytes(fields.clone()))
@@ -117,15 +111,6 @@ impl FileIndex {
         let start = at + RECORD_HEAD;
         let end = start.checked_add(usize::try_from(length).ok()?)?;
         (end <= self.records.len()).then_some((kind, start..end))
-    }
-}
-
-impl Read for Input {
-    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
-        match self {
-            Self::File(file) => file.read(bytes),
-            Self::Stream(stream) => stream.read(bytes),
-        }
     }
 }
 

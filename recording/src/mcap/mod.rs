@@ -16,11 +16,11 @@ mod write;
 use std::time::Duration;
 
 pub use self::compression::{ChunkBytes, Compression};
-pub(super) use self::definitions::{Channel, DefinitionWriter, Definitions};
+pub(super) use self::definitions::{Channel, Definitions};
 pub(super) use self::form::parse_metadata;
 pub(super) use self::input::Input;
 pub(super) use self::read::Records;
-pub(super) use self::write::{McapWriter, channel, header, schema};
+pub(super) use self::write::{McapWriter, channel, header, metadata, schema};
 
 /// Starts and ends every file.
 pub(super) const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
@@ -37,6 +37,8 @@ const FILE_END: usize = RECORD_HEAD + FOOTER_BYTES + MAGIC.len();
 const MAX_CHUNK_BYTES: u64 = 64 << 20;
 /// Longest record of another kind to read.
 const MAX_RECORD_BYTES: u64 = 1 << 20;
+/// Largest number of bytes of the schemas and channels of one file.
+const MAX_DEFINITION_BYTES: usize = 64 << 20;
 /// Longest index to read and to write. 45 hours of chunks of a second take as much.
 const MAX_INDEX_BYTES: usize = 16 << 20;
 

@@ -1,6 +1,6 @@
 //! [`Window`]: the bytes of a file around the position of its reader.
 
-use std::io::{self, Read};
+use std::io;
 use std::ops::Range;
 
 use crc32fast::Hasher;
@@ -48,7 +48,7 @@ impl Window {
     /// Reads up to [`READ_BYTES`]. Returns false at the end of the input.
     fn read_more(&mut self) -> io::Result<bool> {
         let read = loop {
-            match self.input.read(&mut self.buffer) {
+            match self.input.bytes.read(&mut self.buffer) {
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 outcome => break outcome?,
             }
@@ -128,7 +128,7 @@ impl Window {
         let mut wanted = 1;
         loop {
             let bytes = self.peek(wanted)?;
-            let after = if bytes.len() < wanted { After::EndOfFile } else { After::More };
+            let after = if bytes.len() < wanted { After::End } else { After::More };
             match decision(bytes, after) {
                 Ok(outcome) => return Ok(outcome),
                 Err(more) => wanted = more,

@@ -86,13 +86,17 @@ impl<W: Write> McapWriter<W> {
         self.index.entries()
     }
 
-    /// Writes a schema or channel, unless it was written before. `content` follows its number.
-    pub(crate) fn declare(&mut self, kind: u8, number: u16, content: &[u8]) {
-        // First, because a chunk begins with the channels known before it.
-        self.begin_chunk();
-        if let Some(record) = self.index.declare(kind, number, content) {
+    /// Writes a schema or channel, unless it was written before. `content` follows its number. Returns
+    /// the number, which is the wanted one if it is free, or `None` if the file has no room for it.
+    pub(crate) fn declare(&mut self, kind: u8, wanted: u16, content: &[u8]) -> Option<u16> {
+        let known = self.index.number(kind, content);
+        known.or_else(|| {
+            // First, because a chunk begins with the channels known before it.
+            self.begin_chunk();
+            let (number, record) = self.index.declare(kind, wanted, content)?;
             self.chunk.record.extend_from_slice(record);
-        }
+            Some(number)
+        })
     }
 
     /// Adds a message to the open chunk.
@@ -112,19 +116,8 @@ impl<W: Write> McapWriter<W> {
         Ok(())
     }
 
-    /// Writes a metadata record.
-    pub(crate) fn metadata(
-        &mut self,
-        name: &str,
-        map: &BTreeMap<String, String>,
-    ) -> io::Result<()> {
-        let mut content = texts([name]);
-        put_bytes(&mut content, &texts(map.iter().flat_map(|(key, value)| [&**key, value])));
-        self.copy_metadata(name, &content)
-    }
-
     /// Writes a metadata record of this content.
-    pub(crate) fn copy_metadata(&mut self, name: &str, content: &[u8]) -> io::Result<()> {
+    pub(crate) fn metadata(&mut self, name: &str, content: &[u8]) -> io::Result<()> {
         self.end_chunk()?;
         let mut record = Vec::new();
         put_record(&mut record, kind::METADATA, |out| out.extend_from_slice(content));
@@ -253,6 +246,13 @@ pub(crate) fn header(profile: &str, library: &str) -> Vec<u8> {
     texts([profile, library])
 }
 
+/// Encodes the content of metadata.
+pub(crate) fn metadata(name: &str, map: &BTreeMap<String, String>) -> Vec<u8> {
+    let mut content = texts([name]);
+    put_bytes(&mut content, &texts(map.iter().flat_map(|(key, value)| [&**key, value])));
+    content
+}
+
 /// Encodes the content of a channel of ROS 2 without metadata, after its number.
 pub(crate) fn channel(schema: u16, topic: &str) -> Vec<u8> {
     [&schema.to_le_bytes(), &*texts([topic, "cdr", ""])].concat()
@@ -267,28 +267,4 @@ fn texts<'a>(texts: impl IntoIterator<Item = &'a str>) -> Vec<u8> {
     let mut out = Vec::new();
     texts.into_iter().for_each(|text| put_bytes(&mut out, text.as_bytes()));
     out
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Length of a message besides its data.
-    const MESSAGE_HEAD: usize = RECORD_HEAD + 22;
-
-    #[test]
-    fn a_chunk_is_limited_to_768_kib() {
-        let header = MessageHeader { channel: 0, sequence: 0, log_time: 0, publish_time: 0 };
-        let first = CHUNK_BYTES / 2;
-        for (longer, chunks) in [(0, 1), (1, 2)] {
-            let mut writer =
-                McapWriter::start(Vec::new(), &super::header("", ""), Compression::Plain).unwrap();
-            writer.message(header, &vec![0; first]).unwrap();
-            // With its data the chunk has exactly the limit, or one byte more.
-            let rest = CHUNK_BYTES - CHUNK_HEAD - MESSAGE_HEAD - first + longer;
-            writer.message(header, &vec![0; rest]).unwrap();
-            writer.flush().unwrap();
-            assert_eq!(writer.index_entries(), chunks);
-        }
-    }
 }

@@ -75,14 +75,14 @@ pub fn write_scan(out: &mut Vec<u8>, scan: &Scan, stamp: SystemTime, frame_id: &
         scan.range_min(),
         scan.range_max(),
     ] {
-        cdr.f32(field);
+        cdr.number(field.to_le_bytes());
     }
     cdr.length(scan.len());
-    scan.ranges().for_each(|range| cdr.f32(range));
+    scan.ranges().for_each(|range| cdr.number(range.to_le_bytes()));
     let intensities = scan.intensities().unwrap_or_default();
     cdr.length(intensities.len());
     // Exact: an intensity has 18 bits.
-    intensities.iter().for_each(|intensity| cdr.f32(*intensity as f32));
+    intensities.iter().for_each(|intensity| cdr.number((*intensity as f32).to_le_bytes()));
 }
 
 /// Decodes a scan.

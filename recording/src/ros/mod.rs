@@ -117,8 +117,8 @@ pub fn is_frame_id(text: &str) -> bool {
 /// Writes a `std_msgs/msg/Header`.
 fn write_header(cdr: &mut CdrWriter<'_>, stamp: SystemTime, frame_id: &str) {
     let stamp = since_1970(stamp);
-    cdr.i32(i32::try_from(stamp.as_secs()).unwrap_or(i32::MAX));
-    cdr.u32(stamp.subsec_nanos());
+    cdr.number(i32::try_from(stamp.as_secs()).unwrap_or(i32::MAX).to_le_bytes());
+    cdr.number(stamp.subsec_nanos().to_le_bytes());
     cdr.string(frame_id);
 }
 

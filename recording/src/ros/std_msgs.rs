@@ -38,7 +38,7 @@ pub(crate) fn write_labelled_bytes(out: &mut Vec<u8>, label: &str, parts: &[&[u8
     // Size and stride of the dimension, and where the data starts.
     cdr.length(length);
     cdr.length(length);
-    cdr.u32(0);
+    cdr.length(0);
     cdr.bytes(parts);
 }
 

@@ -84,6 +84,6 @@ pub fn write_transforms(out: &mut Vec<u8>, stamp: SystemTime, transforms: &[Tran
         write_header(&mut cdr, stamp, &transform.parent);
         cdr.string(&transform.child);
         let numbers = transform.translation.into_iter().chain(transform.quaternion());
-        numbers.for_each(|number| cdr.f64(number));
+        numbers.for_each(|number| cdr.number(number.to_le_bytes()));
     }
 }

@@ -39,7 +39,6 @@ impl Records {
             self.decompress(&head, is_whole)?;
             0..self.chunk.decompressed.len()
         };
-        self.has_chunks = Some(true);
         self.chunk_bytes.add(
             &head.compression,
             found - head.records.start.min(found),
@@ -68,12 +67,10 @@ impl Records {
     }
 
     /// Error of a chunk with a compression that this build does not read. The name may be damaged: then
-    /// no other chunk has it.
+    /// the next such chunk has another one.
     fn unknown_compression(&mut self, name: &str) -> RecordingError {
-        let is_compressed = |known: &Compression| *known != Compression::Plain;
-        let has_known = self.chunk_bytes.compressions.iter().any(is_compressed);
         let is_second = self.unknown.replace(name.to_owned()).as_deref() == Some(name);
-        match Compression::named(name).is_some() || is_second && !has_known {
+        match Compression::named(name).is_some() || is_second {
             true => RecordingError::Compressed { compression: name.to_owned() },
             false => self.damaged("a chunk has an unknown compression"),
         }
@@ -86,9 +83,8 @@ impl Records {
             let bytes = self.bytes(rest.clone());
             let known = bytes.len() as u64;
             let is_cut = self.chunk.is_cut;
-            let after = if is_cut { After::EndOfFile } else { After::EndOfChunk };
-            let extent = measure(bytes, after);
-            let begins = |at, kinds| begins(bytes, after, at, kinds);
+            let extent = measure(bytes, After::End);
+            let begins = |at, kinds| begins(bytes, After::End, at, kinds);
             let next = match &extent {
                 Ok(extent) if self.chunk.is_proved || extent.is_proved() => extent.end,
                 Ok(extent) => {
@@ -109,7 +105,7 @@ impl Records {
                     if !is_well_formed(extent.kind, self.bytes(content.clone())) {
                         return Err(self.damaged("a record is malformed"));
                     }
-                    self.check_channel(extent.kind, &content)?;
+                    self.define(extent.kind, &content)?;
                     return Ok(Some((extent.kind, content)));
                 }
                 Ok(extent) if next == extent.end && is_cut => {}

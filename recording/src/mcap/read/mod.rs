@@ -8,7 +8,7 @@
 mod chunk;
 mod end;
 
-use std::collections::{HashSet, VecDeque};
+use std::collections::VecDeque;
 use std::ops::{Range, RangeInclusive};
 
 use self::chunk::ChunkRecords;
@@ -17,7 +17,7 @@ use super::form::{
 };
 use super::input::FileIndex;
 use super::window::Window;
-use super::{ChunkBytes, Fields, Input, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
+use super::{ChunkBytes, Definitions, Fields, Input, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
 use crate::RecordingError;
 
 /// Reason for damage.
@@ -25,6 +25,9 @@ const WRONG_HEAD: &str = "a record's kind or length is wrong";
 
 /// Kind of a record, and the place of its content in [`Records::bytes`].
 type Place = (u8, Range<usize>);
+
+/// Kind and content of a record, and the definitions up to it.
+pub(crate) type ReadRecord<'a> = (u8, &'a [u8], &'a Definitions);
 
 /// Kinds of records that no summary has.
 fn is_data(kind: u8) -> bool {
@@ -48,8 +51,7 @@ pub(crate) struct Records {
     used: usize,
     /// Set once the file is known to have chunks, or none.
     has_chunks: Option<bool>,
-    /// Channels defined so far.
-    channels: HashSet<u16>,
+    definitions: Definitions,
     /// Index of the file, once its definitions are needed.
     index: Option<FileIndex>,
     /// Parts of the file to leave out.
@@ -82,6 +84,11 @@ impl Records {
         &self.chunk_bytes
     }
 
+    /// Schemas and channels so far.
+    pub(crate) fn definitions(&self) -> &Definitions {
+        &self.definitions
+    }
+
     /// Leaves out chunks without a message at these times, if the file's index lists them.
     /// Returns its definitions next: the chunks may have them.
     pub(crate) fn leave_out_others(
@@ -112,21 +119,20 @@ impl Records {
         self.damaged_at.replace(damaged_at) != Some(damaged_at)
     }
 
-    /// Reads the kind and content of the next record, or returns `None` at the end of the
-    /// data. A message is of a channel before it. After the first damage, which may have hit
+    /// Reads the next record, or returns `None` at the end of the data. A message is of a channel before it. After the first damage, which may have hit
     /// definitions, the definitions in the file's index follow. After an error other than
     /// [`RecordingError::Damaged`], no records follow.
-    pub(crate) fn next(&mut self) -> Result<Option<(u8, &[u8])>, RecordingError> {
+    pub(crate) fn next(&mut self) -> Result<Option<ReadRecord<'_>>, RecordingError> {
         if let Some((kind, place)) = self.index.as_mut().and_then(FileIndex::next_definition) {
             let content = self.index.as_ref().map(|index| index.bytes(place)).unwrap_or_default();
-            if kind == kind::CHANNEL {
-                self.channels.extend(Fields(content).u16());
-            }
-            return Ok(Some((kind, content)));
+            self.definitions.define(kind, content);
+            return Ok(Some((kind, content, &self.definitions)));
         }
         while !self.is_over {
             match self.next_place() {
-                Ok(Some((kind, content))) => return Ok(Some((kind, self.bytes(content)))),
+                Ok(Some((kind, content))) => {
+                    return Ok(Some((kind, self.bytes(content), &self.definitions)));
+                }
                 Err(RecordingError::Damaged { offset, .. }) if !self.is_news(offset) => {}
                 Err(error @ RecordingError::Damaged { .. }) => {
                     if self.index.is_none() {
@@ -245,20 +251,27 @@ impl Records {
             self.unknown = None;
         }
         self.used = length;
-        self.check_channel(extent.kind, &content)?;
+        self.define(extent.kind, &content)?;
         Ok(Some((extent.kind, content)))
     }
 
-    /// Fails for a message whose channel no earlier record has defined.
-    fn check_channel(&mut self, kind: u8, content: &Range<usize>) -> Result<(), RecordingError> {
-        let number = Fields(self.bytes(content.clone())).u16().unwrap_or_default();
-        if kind == kind::CHANNEL {
-            self.channels.insert(number);
-        }
-        if kind == kind::MESSAGE && !self.channels.contains(&number) {
-            return Err(self.damaged("the channel of a message is not defined"));
-        }
-        Ok(())
+    /// Remembers a definition. Fails for a message whose channel no earlier record has defined.
+    fn define(&mut self, kind: u8, content: &Range<usize>) -> Result<(), RecordingError> {
+        let mut definitions = std::mem::take(&mut self.definitions);
+        let content = self.bytes(content.clone());
+        let wrong = match kind {
+            kind::SCHEMA | kind::CHANNEL if !definitions.define(kind, content) => {
+                Some("the definitions have more than 64 MiB")
+            }
+            kind::MESSAGE
+                if !Fields(content).u16().is_some_and(|id| definitions.has_channel(id)) =>
+            {
+                Some("the channel of a message is not defined")
+            }
+            _ => None,
+        };
+        self.definitions = definitions;
+        wrong.map_or(Ok(()), |reason| Err(self.damaged(reason)))
     }
 
     /// Reads the record here, which ends the data of a file. If another file follows, skips to it and
@@ -352,10 +365,7 @@ impl Records {
     /// none nearby: a few damaged bytes do not make another kind of file.
     fn find_first_record(&mut self) -> Result<Option<Place>, RecordingError> {
         let error = self.damaged("the file does not begin with the magic bytes of MCAP");
-        let is_first = |kind| {
-            is_known(kind) && !matches!(kind, kind::MESSAGE | kind::MESSAGE_INDEX | kind::DATA_END)
-        };
-        match self.window.skip_to(is_first, MAX_CHUNK_BYTES)? {
+        match self.window.skip_to(is_known, MAX_CHUNK_BYTES)? {
             true => Err(error),
             false => Err(RecordingError::NotMcap),
         }
@@ -369,13 +379,8 @@ impl Records {
     }
 
     fn find_record(&mut self) -> Result<(), RecordingError> {
-        let is_stray = self.window.begins(1, is_known)?;
         let kinds = self.kinds_to_find()?;
-        match is_stray {
-            true => self.used = 1,
-            false => drop(self.window.skip_to(kinds, u64::MAX)?),
-        }
-        Ok(())
+        self.window.skip_to(kinds, u64::MAX).map(drop)
     }
 
     fn damaged(&mut self, reason: &'static str) -> RecordingError {
