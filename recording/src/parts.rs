@@ -1,7 +1,7 @@
 //! [`Parts`]: when a recording continues in a further file, the name of that file, and
 //! which old files are removed for it.
 
-use std::fs;
+use std::fs::{self, Metadata};
 use std::io::{self, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -50,16 +50,9 @@ pub(super) struct Parts {
     /// Number of the current file.
     number: u32,
     /// Finished files, oldest first. Empty unless old files are removed.
-    old: Vec<OldPart>,
+    old: Vec<(PathBuf, Metadata)>,
     progress: Arc<Mutex<Progress>>,
     syncer: Option<Syncer>,
-}
-
-/// Finished file.
-struct OldPart {
-    path: PathBuf,
-    bytes: u64,
-    changed: SystemTime,
 }
 
 impl Parts {
@@ -133,12 +126,8 @@ impl Parts {
     fn find_old(&mut self) {
         self.old.clear();
         let Some(path) = self.path.as_ref().filter(|_| self.limits.removes_old()) else { return };
-        let old = |path: PathBuf| {
-            let metadata = path.metadata().ok()?;
-            let changed = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
-            Some(OldPart { path, bytes: metadata.len(), changed })
-        };
-        self.old = begun_parts(path).into_iter().filter_map(|(_, path)| old(path)).collect();
+        let old = |(_, path): (u32, PathBuf)| path.metadata().ok().map(|metadata| (path, metadata));
+        self.old = begun_parts(path).into_iter().filter_map(old).collect();
     }
 
     /// Removes the files that are too old, and then the oldest ones until the rest and the current
@@ -146,24 +135,27 @@ impl Parts {
     pub(super) fn remove_old(&mut self, current: u64) {
         let Limits { keep_duration, keep_bytes, .. } = self.limits;
         let now = SystemTime::now();
-        let is_too_old = |part: &OldPart| {
-            let age = now.duration_since(part.changed).unwrap_or_default();
-            let is_set = part.changed > SystemTime::UNIX_EPOCH + CLOCK_IS_SET;
+        let is_too_old = |metadata: &Metadata| {
+            let changed = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+            let age = now.duration_since(changed).unwrap_or_default();
+            let is_set = changed > SystemTime::UNIX_EPOCH + CLOCK_IS_SET;
             is_set && keep_duration.is_some_and(|keep| age > keep)
         };
-        let mut unwanted: Vec<_> = self.old.extract_if(.., |part| is_too_old(part)).collect();
-        let mut total = self.old.iter().fold(current, |sum, part| sum.saturating_add(part.bytes));
-        let is_too_much = |part: &mut OldPart| {
+        let mut unwanted: Vec<_> = self.old.extract_if(.., |(_, file)| is_too_old(file)).collect();
+        let sum = |sum: u64, (_, file): &(_, Metadata)| sum.saturating_add(file.len());
+        let mut total = self.old.iter().fold(current, sum);
+        let is_too_much = |(_, file): &mut (_, Metadata)| {
             let is_too_much = keep_bytes.is_some_and(|keep| total > keep);
-            total -= if is_too_much { part.bytes } else { 0 };
+            total -= if is_too_much { file.len() } else { 0 };
             is_too_much
         };
         unwanted.extend(self.old.extract_if(.., is_too_much));
         // Another recorder under the same name may write one.
-        unwanted.retain(|part| !RecordingFile::is_busy(&part.path));
-        for part in unwanted {
-            let path = part.path.display();
-            match fs::remove_file(&part.path) {
+        unwanted.retain(|(path, _)| !RecordingFile::is_busy(path));
+        for (path, _) in unwanted {
+            let removed = fs::remove_file(&path);
+            let path = path.display();
+            match removed {
                 Ok(()) => tracing::info!(%path, "old recording removed"),
                 Err(error) if error.kind() == io::ErrorKind::NotFound => {}
                 Err(error) => {

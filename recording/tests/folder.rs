@@ -8,6 +8,7 @@ use tokio_scip::Rate;
 use urg_recording::{Recorder, Recording, RecordingError, cut, recording_files};
 
 use super::sink::{next, observed, sensor, values, window};
+use crate::common::random::{Random, seeds};
 use crate::file::Folder;
 
 /// Records 40 scans, 4 s, into some files in a folder. Returns the values, and the files' names.
@@ -81,6 +82,25 @@ fn a_list_of_files_is_read_in_each_form() {
         describe(folder.path(), &[name, "b.mcap"]);
         let expected = [expected, "b.mcap"].map(|name| folder.path().join(name));
         assert_eq!(recording_files(folder.path()).unwrap(), expected);
+    }
+}
+
+#[test]
+fn any_description_is_read_or_refused() {
+    let folder = Folder::new("any-list");
+    describe(folder.path(), &["'a''b.mcap'", "\"c\\xFC\"", "d e\n      f", "[&g *g, {h: i}]"]);
+    let path = folder.path().join("metadata.yaml");
+    let text = fs::read(&path).unwrap();
+    for seed in seeds("URG_LISTS", 300) {
+        let (mut random, mut text) = (Random::new(seed), text.clone());
+        for _ in 0..1 + random.below(6) {
+            let at = random.below(text.len() as u64) as usize;
+            let end = (at + random.below(3) as usize).min(text.len());
+            let part = *random.pick(b"-:'\"\\[]{}&*!|>%@#?,~\n\t 0\xc3\xff");
+            text.splice(at..end, [part; 2]);
+        }
+        fs::write(&path, text).unwrap();
+        drop(recording_files(folder.path()));
     }
 }
 
