@@ -74,7 +74,6 @@ impl Recording {
         RecordedScans {
             polls: Polls::new(self),
             sequence: 0,
-            position: Duration::ZERO,
             log_time: SystemTime::UNIX_EPOCH,
             previous: None,
             started: None,
@@ -90,7 +89,6 @@ pub struct RecordedScans {
     polls: Polls,
     /// Number of the next scan.
     sequence: u64,
-    position: Duration,
     log_time: SystemTime,
     /// Values of the previous scan.
     previous: Option<Values>,
@@ -117,7 +115,7 @@ impl RecordedScans {
     /// Time from the file's first scan to the latest one, as [`Recording::range`] takes
     /// it.
     pub fn position(&self) -> Duration {
-        self.position
+        self.polls.recording.range.since_first_scan(self.log_time)
     }
 
     /// Version of the recorded sensor: its first reply to `V` among the records read so far, or else
@@ -193,7 +191,6 @@ impl RecordedScans {
         }
         let scan = scan.build().ok()?;
         self.sequence = self.sequence.wrapping_add(1);
-        self.position = self.polls.recording.range.since_first_scan(poll.at);
         self.log_time = poll.at;
         self.previous = Some(values);
         Some(scan)

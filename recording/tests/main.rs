@@ -36,6 +36,7 @@ mod raw;
 mod recompress;
 mod repair;
 mod replay;
+mod requests;
 mod ros;
 mod scans;
 mod sink;

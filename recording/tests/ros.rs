@@ -1,12 +1,18 @@
 //! Messages of ROS 2, byte by byte.
 
+use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::time::{Duration, SystemTime};
 
+use sha2::{Digest, Sha256};
 use tokio_scip::{Scan, Window};
+use urg_recording::Recorder;
 use urg_recording::ros::{
-    DiagnosticLevel, DiagnosticStatus, Transform, write_diagnostics, write_scan, write_transforms,
+    DiagnosticLevel, DiagnosticStatus, MessageType, Transform, write_diagnostics, write_scan,
+    write_transforms,
 };
+
+use super::sink::{Sink, window};
 
 #[test]
 fn a_scan_ends_with_its_intensities_if_it_has_any() {
@@ -101,4 +107,86 @@ fn a_status_is_a_byte_and_aligned_strings() {
         \x04\0\0\0urg\0\x01\0\0\0\0\0\0\0\x03\0\0\0H1\0\0\x01\0\0\0\
         \x02\0\0\0a\0\0\0\x03\0\0\0bc\0";
     assert_eq!(out, expected);
+}
+
+/// Hash of REP 2016: SHA-256 over the definition as JSON, formatted as Python does.
+fn hash(name: &str, definition: &str) -> String {
+    let line = format!("{}\n", "=".repeat(80));
+    let mut parts = definition.split(&line);
+    let fields = fields(parts.next().unwrap());
+    let others: BTreeMap<String, String> = parts
+        .map(|part| {
+            let (name, definition) = part.strip_prefix("MSG: ").unwrap().split_once('\n').unwrap();
+            (name.replace('/', "/msg/"), self::fields(definition))
+        })
+        .collect();
+    let description =
+        |name: &str, fields: &str| format!("{{\"type_name\": \"{name}\", \"fields\": [{fields}]}}");
+    let others: Vec<_> = others.iter().map(|(name, fields)| description(name, fields)).collect();
+    let json = format!(
+        "{{\"type_description\": {}, \"referenced_type_descriptions\": [{}]}}",
+        description(name, &fields),
+        others.join(", ")
+    );
+    let digest = Sha256::digest(json.as_bytes());
+    let digits: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+    format!("RIHS01_{digits}")
+}
+
+fn fields(definition: &str) -> String {
+    // Constants are not fields.
+    let fields = definition.lines().filter(|line| !line.is_empty() && !line.contains('='));
+    let fields = fields.map(|line| {
+        let (kind, name) = line.split_once(' ').unwrap();
+        // A default value is not part of the hash.
+        let name = name.split(' ').next().unwrap();
+        let element = kind.strip_suffix("[]").unwrap_or(kind);
+        let sequence = if element == kind { 0 } else { 144 };
+        let (id, nested) = match element {
+            "uint8" => (3, String::new()),
+            "int32" => (6, String::new()),
+            "uint32" => (7, String::new()),
+            "float32" => (10, String::new()),
+            "float64" => (11, String::new()),
+            "byte" => (16, String::new()),
+            "string" => (17, String::new()),
+            message => (1, message.replace('/', "/msg/")),
+        };
+        format!(
+            "{{\"name\": \"{name}\", \"type\": {{\"type_id\": {}, \"capacity\": 0, \
+             \"string_capacity\": 0, \"nested_type_name\": \"{nested}\"}}}}",
+            id + sequence
+        )
+    });
+    fields.collect::<Vec<_>>().join(", ")
+}
+
+#[tokio::test(start_paused = true)]
+async fn each_type_has_the_hash_of_its_definition() {
+    for message in [MessageType::LASER_SCAN, MessageType::DIAGNOSTIC_ARRAY, MessageType::TF_MESSAGE]
+    {
+        assert_eq!(hash(message.name(), message.definition()), message.hash());
+    }
+    // The others are in recordings alone. A missed scan is an event.
+    let sink = Sink::new();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    for sequence in [0, 2] {
+        let scan = Scan::builder(window(383, 384, 1), [1000, 2000]).sequence(sequence).build();
+        recorder.record(&Ok(scan.unwrap())).unwrap();
+    }
+    recorder.finish().await.unwrap();
+    let schemas = mcap::Summary::read(&sink.bytes()).unwrap().unwrap().schemas;
+    for (name, expected) in [
+        (
+            "std_msgs/msg/UInt8MultiArray",
+            "RIHS01_5687e861b8d307a5e48b7515467ae7a5fc2daf805bd0ce6d8e9e604bade9f385",
+        ),
+        (
+            "std_msgs/msg/String",
+            "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
+        ),
+    ] {
+        let schema = schemas.values().find(|schema| schema.name == name).unwrap();
+        assert_eq!(hash(name, std::str::from_utf8(&schema.data).unwrap()), expected);
+    }
 }
