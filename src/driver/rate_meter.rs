@@ -124,18 +124,6 @@ mod tests {
     }
 
     #[test]
-    fn a_shortfall_is_reported_once_each_time() {
-        let mut meter = RateMeter::new(Instant::now());
-        let [slow, loss] = [Some(Shortfall::Line), Some(Shortfall::Loss)];
-        assert_eq!(
-            [slow, slow, loss, loss].map(|shortfall| meter.is_news(shortfall)),
-            [true, false, true, false]
-        );
-        assert!((0..20).all(|_| !meter.is_news(None)));
-        assert!(meter.is_news(slow));
-    }
-
-    #[test]
     fn a_span_blames_what_it_has_evidence_for() {
         let [quick, slow] = [80, 120].map(Duration::from_millis);
         let revolution = Duration::from_millis(100);

@@ -218,29 +218,3 @@ impl DesiredSettings {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[tokio::test(start_paused = true)]
-    async fn abandoned_requests_do_not_wait_until_they_expire() {
-        let (sender, receiver) = mpsc::channel(1);
-        let mut queue = RequestQueue::new(receiver, Duration::from_secs(3600));
-        let mut answers = Vec::new();
-        for number in 0..10_000 {
-            let (responder, answer) = oneshot::channel();
-            assert!(sender.send(Box::new(Request::Link(responder))).await.is_ok());
-            let request = queue.next_unlinked(&LinkState::new(None)).await.unwrap();
-            queue.wait(request);
-            // One in a hundred is kept. The others are abandoned while they wait.
-            answers.extend((number % 100 == 0).then_some(answer));
-            assert!(queue.waiting.len() < 2 * answers.len() + PURGE_FROM, "{number}");
-        }
-        let mut kept = 0;
-        while let Ok(Some(_)) = queue.pop() {
-            kept += 1;
-        }
-        assert_eq!(kept, answers.len());
-    }
-}

@@ -152,3 +152,26 @@ fn a_thousand_replugs_leak_no_heap() {
     assert!(rest.abs() <= REST, "{rest} bytes more than before");
     assert!(opened.stats().reconnects >= 1_100, "{:?}", opened.stats());
 }
+
+#[test]
+fn abandoned_requests_leave_the_queue_before_they_expire() {
+    let runtime = runtime();
+    let emulator = sensor();
+    emulator.unplug();
+    let builder = builder().wait_for_sensor(true).request_timeout(Duration::from_secs(3600));
+    let (sensor, driver) = builder.build(emulator);
+    let _driver = runtime.spawn(driver);
+    let waiting = measure(|| {
+        runtime.block_on(async {
+            for _ in 0..10_000 {
+                // The driver takes it before it is dropped.
+                tokio::select! {
+                    biased;
+                    _ = async { sensor.scan(Window::FULL).await } => panic!("an answer"),
+                    () = tokio::task::yield_now() => {}
+                }
+            }
+        });
+    });
+    assert!(waiting.bytes_current < 128 * 1024, "{waiting:?}");
+}

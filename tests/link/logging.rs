@@ -238,6 +238,25 @@ async fn a_rate_that_is_not_reached_is_logged_with_its_reason() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_rate_that_falls_short_again_is_logged_after_a_good_minute() {
+    let log = Log::default();
+    let _guard = crate::common::logs::collect(log.clone());
+    let emulator = Emulator::default();
+    let sensor = sensor(&emulator).await;
+    let _stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    let mut warnings = Vec::new();
+    for good_seconds in [30, 75, 0] {
+        emulator.set_faults(Faults::none().rate(0.5, Fault::Lost).seed(1));
+        sleep(Duration::from_secs(10)).await;
+        let is_warning = |(level, _): &&(Level, String)| *level == Level::WARN;
+        warnings.push(log.0.lock().unwrap().lines.iter().filter(is_warning).count());
+        emulator.set_faults(Faults::none());
+        sleep(Duration::from_secs(good_seconds)).await;
+    }
+    assert_eq!(warnings, [1, 1, 2]);
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_spare_sensor_is_logged_and_the_same_sensor_is_not() {
     let log = Log::default();
     let _guard = crate::common::logs::collect(log.clone());
