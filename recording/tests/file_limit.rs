@@ -4,9 +4,11 @@
 use std::io;
 use std::path::Path;
 use std::process::Command;
+use std::time::Duration;
 
 use rustix::process::{Resource, Rlimit, setrlimit};
-use tokio_scip::{Rate, Window};
+use tokio::time::Instant;
+use tokio_scip::{Rate, Scan, Window};
 use urg_recording::{Entry, Progress, Recorder, Recording, RecordingError};
 
 use super::sink::{observed, polls, sensor};
@@ -99,6 +101,31 @@ async fn a_recording_continues_after_a_file_that_may_not_grow() {
             let room = limit - part.bytes;
             assert!(part.is_complete || number == 0 && room < END_BYTES, "{limit}: {room}");
             assert!(part.summary.is_some() || number == 0 && room < INDEX_BYTES, "{limit}: {room}");
+        }
+    }
+
+    // Without a reply and metadata, further files have the definitions of their messages, too.
+    let path = folder("file-limit").join("run.mcap");
+    setrlimit(Resource::Fsize, Rlimit { current: Some(100_000), maximum: None }).unwrap();
+    let mut recorder = Recorder::create(&path).unwrap();
+    for sequence in 0..SCANS.into() {
+        tokio::time::advance(Duration::from_millis(100)).await;
+        let scan = Scan::builder(Window::DETECTION, vec![500; 682]).sequence(sequence);
+        let scan = scan.received_at(Instant::now()).build();
+        recorder.record(&Ok(scan.unwrap())).unwrap();
+    }
+    assert!(recorder.finish().await.unwrap().has_outgrown_file);
+    for path in parts(&path).into_iter().skip(1) {
+        let file = std::fs::read(path).unwrap();
+        let mut messages = mcap::MessageStream::new(&file).unwrap();
+        assert!(messages.all(|message| message.unwrap().channel.schema.is_some()));
+        let summary = mcap::Summary::read(&file).unwrap().unwrap();
+        for chunk in &summary.chunk_indexes {
+            let entries = summary.read_message_indexes(&file, chunk).unwrap();
+            for entry in entries.values().flatten() {
+                let message = summary.seek_message(&file, chunk, entry).unwrap();
+                assert_eq!(message.log_time, entry.log_time);
+            }
         }
     }
 

@@ -61,6 +61,11 @@ impl ChunkMessages {
         self.channels.entry(header.channel).or_default().push([header.log_time, place as u64]);
     }
 
+    /// Moves the messages backwards by a number of bytes.
+    pub(super) fn shift(&mut self, bytes: u64) {
+        self.channels.values_mut().flatten().for_each(|[_, place]| *place += bytes);
+    }
+
     /// Log times of the first and the last message.
     pub(super) fn span(&self) -> Option<(u64, u64)> {
         self.span

@@ -164,9 +164,15 @@ impl<W: Write> McapWriter<W> {
     }
 
     /// Continues with the open chunk of a file that has the same channels.
-    pub(crate) fn put_chunk(&mut self, chunk: OpenChunk) -> io::Result<()> {
+    pub(crate) fn put_chunk(&mut self, mut chunk: OpenChunk) -> io::Result<()> {
         self.end_chunk()?;
-        self.chunk = chunk;
+        if !chunk.record.is_empty() {
+            // Without a message, they are not written yet.
+            let definitions = self.chunk.record.split_off(CHUNK_HEAD.min(self.chunk.record.len()));
+            chunk.messages.shift(definitions.len() as u64);
+            chunk.record.splice(CHUNK_HEAD..CHUNK_HEAD, definitions);
+            self.chunk = chunk;
+        }
         Ok(())
     }
 
