@@ -10,7 +10,10 @@ use urg_recording::{Compression, Recorder, Recording, RecordingError, cut, repai
 
 use super::sink::Sink;
 
-use super::raw::{MAGIC, channel, channel_content, chunk_of, event, metadata, of_kind, text};
+use super::file::Folder;
+use super::raw::{
+    MAGIC, channel, channel_content, chunk_of, event, metadata, of_kind, record, text,
+};
 
 /// A file that consists of a beginning, and of one part many times.
 struct Endless {
@@ -123,6 +126,27 @@ fn a_copy_of_100_mb_of_names_takes_64_mib() {
         repair(file(times), &mut copy).unwrap();
         assert_eq!(mcap::Summary::read(&copy).unwrap().is_some(), has_index);
         assert_eq!(mcap::MessageStream::new(&copy).unwrap().count(), times);
+    }
+}
+
+/// The checksum is right, but the memory for it is limited all the same.
+#[test]
+fn an_index_of_16_mib_is_read() {
+    let folder = Folder::new("long-index");
+    for (length, is_read) in [(16 << 20, true), ((16 << 20) + 1, false)] {
+        // After damage, the index is asked for definitions.
+        let data = [MAGIC, &channel(), &event(0), &[0; 9], &event(0).repeat(3)].concat();
+        let data = [data, of_kind(0x0f, &[0; 4])].concat();
+        let footer = record(0x02, 20, &[&data.len().to_le_bytes()[..], &[0; 8]].concat());
+        let index = [vec![0; length], footer].concat();
+        let crc = crc32fast::hash(&index).to_le_bytes();
+        let path = folder.write(&[&data[..], &index, &crc, MAGIC].concat());
+        drop((data, index));
+        let counted = measure(|| {
+            let recording = Recording::open(&path).unwrap();
+            assert_eq!(recording.filter(Result::is_ok).count(), 4);
+        });
+        assert_eq!(counted.bytes_max > 16 << 20, is_read, "{}", counted.bytes_max);
     }
 }
 

@@ -147,28 +147,3 @@ fn chunk(content: &[u8]) -> Option<(Range<u64>, u64, u64)> {
     let end = start.checked_add(length)?.checked_add(lists)?;
     Some((start..end, first, last))
 }
-
-#[cfg(test)]
-mod tests {
-    use super::super::{MAGIC, put_record};
-    use super::*;
-
-    /// The checksum is right, but the memory for it is limited all the same.
-    #[test]
-    fn an_index_of_16_mib_is_read() {
-        let path = std::env::temp_dir().join(format!("scip-index-{}", std::process::id()));
-        let longest = MAX_INDEX_BYTES;
-        for (length, is_read) in [(longest, true), (longest + 1, false)] {
-            // The whole file is its index.
-            let mut bytes = vec![0; length];
-            put_record(&mut bytes, kind::FOOTER, |out| out.extend_from_slice(&[0; 16]));
-            let crc = crc32fast::hash(&bytes);
-            bytes.extend_from_slice(&crc.to_le_bytes());
-            bytes.extend_from_slice(&MAGIC);
-            std::fs::write(&path, &bytes).unwrap();
-            let found = index(&mut File::open(&path).unwrap());
-            assert_eq!(found.map(|index| index.records.len()), is_read.then_some(length));
-        }
-        std::fs::remove_file(&path).unwrap();
-    }
-}
