@@ -61,7 +61,7 @@ impl ChunkMessages {
         self.channels.entry(header.channel).or_default().push([header.log_time, place as u64]);
     }
 
-    /// Moves the messages backwards by a number of bytes.
+    /// Moves the messages away from the beginning of the chunk by a number of bytes.
     pub(super) fn shift(&mut self, bytes: u64) {
         self.channels.values_mut().flatten().for_each(|[_, place]| *place += bytes);
     }
