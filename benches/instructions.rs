@@ -15,7 +15,10 @@ use tokio_util::codec::{Decoder, Encoder};
 
 #[path = "../tests/common/instant_sensor.rs"]
 mod instant_sensor;
-// The module is private in the library. It needs no more of it than `stats`.
+// These are private in the library, and need no more of it than `stats`.
+#[allow(dead_code)]
+#[path = "../src/driver/fit.rs"]
+mod fit;
 #[allow(dead_code)]
 #[path = "../src/driver/motor_clock.rs"]
 mod motor_clock;

@@ -8,6 +8,7 @@
 mod backoff;
 mod config;
 mod failure;
+mod fit;
 mod laser;
 mod motor_clock;
 mod observers;

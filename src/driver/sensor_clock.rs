@@ -25,7 +25,8 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-use super::motor_clock::{EARLY_WEIGHT, Line, Misfits, Revolution, duration};
+use super::fit::{EARLY_WEIGHT, Line, Misfits};
+use super::motor_clock::{Revolution, duration};
 use crate::stats::MotorStats;
 
 /// Number of scans that each fit remembers, and the longest time in seconds that it remembers the motor:

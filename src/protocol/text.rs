@@ -51,27 +51,15 @@ impl AsRef<[u8]> for Text {
     }
 }
 
-impl From<&[u8]> for Text {
-    fn from(bytes: &[u8]) -> Self {
-        Self(bytes.into())
-    }
-}
-
-impl From<&str> for Text {
-    fn from(text: &str) -> Self {
-        text.as_bytes().into()
+impl<T: AsRef<[u8]> + ?Sized> From<&T> for Text {
+    fn from(bytes: &T) -> Self {
+        Self(bytes.as_ref().into())
     }
 }
 
 impl From<String> for Text {
     fn from(text: String) -> Self {
-        text.into_bytes().as_slice().into()
-    }
-}
-
-impl From<&String> for Text {
-    fn from(text: &String) -> Self {
-        text.as_str().into()
+        Self::from(&text)
     }
 }
 

@@ -14,6 +14,7 @@ use std::task::{Context, Poll, Wake, Waker};
 use proptest::prelude::*;
 
 use super::{Cursor, Ring};
+use crate::scan::Values;
 use crate::{Error, ErrorKind, Scan, Window};
 
 thread_local! {
@@ -293,7 +294,7 @@ fn a_repeat_has_all_bits_of_the_values() {
     let _reader = ring.subscribe(1);
     let long = |value: u32| {
         let like = scan();
-        Scan::new(like.window(), Arc::<[u32]>::from([value, 7]), 0, like.meta)
+        Scan::new(like.window(), Values::Long([value, 7].into()), 0, like.meta)
     };
     let scans = [(scan(), false), (long(1000), true), (long(1000), true)];
     let higher = [(long(1000 + 65_536), false), (long(1000 + 65_536), true), (scan(), false)];

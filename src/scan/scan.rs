@@ -61,13 +61,8 @@ pub(crate) struct ScanMeta {
 impl Scan {
     /// Creates a scan. `values` has one value for each point of `window`, starting at
     /// `first`. Others may follow.
-    pub(crate) fn new(
-        window: Window,
-        values: impl Into<Values>,
-        first: usize,
-        meta: ScanMeta,
-    ) -> Self {
-        Self { window, values: values.into(), first, meta }
+    pub(crate) fn new(window: Window, values: Values, first: usize, meta: ScanMeta) -> Self {
+        Self { window, values, first, meta }
     }
 
     /// Requested window, with the steps of the sensor.
@@ -204,8 +199,6 @@ impl Eq for Scan {}
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use super::*;
 
     /// Each value equals its index, plus 20.
@@ -243,7 +236,7 @@ mod tests {
         // Intensities may follow.
         let with = |more: &[u32]| short.raw_values().chain(more.iter().copied()).collect();
         let long = |values: Vec<u32>, first| {
-            Scan::new(short.window, Arc::<[u32]>::from(values), first, short.meta)
+            Scan::new(short.window, Values::Long(values.into()), first, short.meta)
         };
         assert_eq!(short, long(with(&[]), 0));
         assert_eq!(long(with(&[]), 0), long(with(&[7, 8]), 0));

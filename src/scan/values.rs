@@ -1,6 +1,7 @@
 //! [`Values`]: the values of a reply, in as few bits as its protocol needs.
 
 use std::fmt;
+use std::iter::repeat;
 use std::slice;
 use std::sync::Arc;
 
@@ -46,32 +47,18 @@ impl Values {
         geometry: &Geometry,
     ) -> Self {
         let rank = |value: u32| (geometry.measurement(value).distance().is_none(), value);
-        let values: Vec<u32> = self.part(first, count).iter().collect();
-        let clusters = values.chunks(cluster_count.max(1));
-        let Some(intensities) = self.intensities(first, count) else {
-            let least = |cluster: &[u32]| cluster.iter().copied().min_by_key(|value| rank(*value));
-            return Self::Long(clusters.filter_map(least).collect());
-        };
-        let pairs = clusters.zip(intensities.chunks(cluster_count.max(1)));
-        let nearest = pairs.filter_map(|(values, intensities)| {
-            let pairs = values.iter().copied().zip(intensities.iter().copied());
-            pairs.min_by_key(|(value, _)| rank(*value))
-        });
-        let (mut values, intensities): (Vec<u32>, Vec<u32>) = nearest.unzip();
-        values.extend(intensities);
+        let intensities = self.intensities(first, count);
+        let strengths = intensities.unwrap_or_default().iter().copied().chain(repeat(0));
+        let pairs: Vec<(u32, u32)> = self.part(first, count).iter().zip(strengths).collect();
+        let nearest = pairs
+            .chunks(cluster_count.max(1))
+            .filter_map(|cluster| cluster.iter().copied().min_by_key(|(value, _)| rank(*value)));
+        let (mut values, strengths): (Vec<u32>, Vec<u32>) = nearest.unzip();
+        if intensities.is_none() {
+            return Self::Long(values.into());
+        }
+        values.extend(strengths);
         Self::WithIntensities(values.into())
-    }
-}
-
-impl From<Arc<[u16]>> for Values {
-    fn from(values: Arc<[u16]>) -> Self {
-        Self::Short(values)
-    }
-}
-
-impl From<Arc<[u32]>> for Values {
-    fn from(values: Arc<[u32]>) -> Self {
-        Self::Long(values)
     }
 }
 

@@ -10,8 +10,6 @@ use std::ops::Range;
 
 use super::*;
 
-/// Sensors of a cell.
-const SENSORS: u64 = 8;
 /// Time that each sensor is polled, in seconds, and its largest number of polls.
 const TIME: f64 = 7200.0;
 const MOST_POLLS: usize = 6000;
@@ -247,15 +245,16 @@ impl Cell {
     }
 }
 
-fn seeds() -> Range<u64> {
+/// Seeds of the sensors of a cell: 16 times as many as the variable says, or the usual number.
+pub(in super::super) fn seeds(variable: &str, usual: u64) -> Range<u64> {
     let number = |name: &str| std::env::var(name).ok().map(|text| text.parse::<u64>().unwrap());
-    let first = number("SCIP_MOTORS_FIRST").unwrap_or(1);
-    first..first + number("SCIP_MOTORS").map_or(SENSORS, |times| 16 * times)
+    let first = number(&format!("{variable}_FIRST")).unwrap_or(1);
+    first..first + number(variable).map_or(usual, |times| 16 * times)
 }
 
 fn draw(kind: Kind) -> Cell {
     let mut cell = Cell::default();
-    seeds().for_each(|seed| cell.add(kind, seed));
+    seeds("SCIP_MOTORS", 8).for_each(|seed| cell.add(kind, seed));
     let Cell { stamps, motor, wrong, wrong_periods, .. } = cell;
     println!(
         "{kind:?}: {motor} of {stamps} stamps by motor, {wrong} wrong, {wrong_periods} periods"

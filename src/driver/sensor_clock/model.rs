@@ -4,11 +4,9 @@
 //! `SCIP_CLOCKS=20 cargo test --release --lib sensor_clock::model -- --nocapture` draws 320 sensors for
 //! each cell, prints each cell, and takes a minute; `SCIP_CLOCKS_FIRST=1000001` draws others.
 
-use super::super::motor_clock::model::{Host, ModelRandom, Slew};
+use super::super::motor_clock::model::{Host, ModelRandom, Slew, seeds};
 use super::*;
 
-/// Sensors of a cell.
-const SENSORS: u64 = 3;
 /// Time that each sensor sends, in seconds, and the largest number of its scans.
 const TIME: f64 = 3600.0;
 const MOST_SCANS: usize = 10_000;
@@ -110,11 +108,8 @@ impl Cell {
 }
 
 fn draw(kind: Kind) -> Cell {
-    let number = |name: &str| std::env::var(name).ok().map(|text| text.parse::<u64>().unwrap());
-    let first = number("SCIP_CLOCKS_FIRST").unwrap_or(1);
     let mut cell = Cell::default();
-    let seeds = first..first + number("SCIP_CLOCKS").map_or(SENSORS, |times| 16 * times);
-    seeds.for_each(|seed| cell.add(kind, seed));
+    seeds("SCIP_CLOCKS", 3).for_each(|seed| cell.add(kind, seed));
     let Cell { stamps, settled, unusual, wrong, waits } = &cell;
     let latest = waits.iter().copied().fold(0.0, f64::max);
     println!(

@@ -264,7 +264,7 @@ impl Session {
         let echo = if repeats { EchoKind::Repeated } else { EchoKind::Unique };
         let command = Command::Distances(asked);
         let Answer { reply, times } = accepted(&command, scip1.exchange(command, echo).await?)?;
-        Ok(Acquired { values: reply.into_values().into(), first, told: None, times })
+        Ok(Acquired { values: Values::Short(reply.into_values()), first, told: None, times })
     }
 
     /// Returns when [`acquire`](Self::acquire) of this window needs no further command to rule out a
