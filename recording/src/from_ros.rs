@@ -22,6 +22,8 @@ const RESOLUTIONS: [u16; 2] = [1024, 1440];
 const LONGEST: f64 = 262_143.0;
 /// Motors turn once in 25 to 200 ms. A time beyond these limits is in another unit, or is none.
 const REVOLUTIONS: RangeInclusive<f32> = 0.001..=1.0;
+/// Revolutions from scan to scan: a sensor can skip nine scans.
+const TURNS: RangeInclusive<f32> = 1.0..=10.0;
 
 /// Scan of a sensor of Hokuyo, as far as a message has it.
 #[derive(Debug)]
@@ -62,8 +64,7 @@ impl MessageScan {
         let geometry = stream.model.geometry();
         let distances: Vec<u32> =
             message.ranges.iter().map(|range| value(*range, &geometry)).collect();
-        let scan_time = Some(message.scan_time).filter(|time| REVOLUTIONS.contains(time));
-        let scan_time = scan_time.map(Duration::from_secs_f32);
+        let scan_time = revolution(message).map(Duration::from_secs_f32);
         let scan = Scan::builder(stream.window, distances.as_slice()).geometry(geometry);
         let mut scan = scan.stamp(message.stamp);
         if let Some(time) = scan_time {
@@ -75,6 +76,15 @@ impl MessageScan {
         let values = Values { distances, intensities: intensities(message), clock: None };
         Some(Self { stream, values, stamp, scan_time })
     }
+}
+
+/// Seconds of one revolution, if the message has them. `hokuyo_node` writes the time between two
+/// scans: of several revolutions if the sensor skips scans. The time between two points tells.
+fn revolution(message: &LaserScan) -> Option<f32> {
+    let turn = message.time_increment * std::f32::consts::TAU / message.angle_increment;
+    let turns = (message.scan_time / turn).round();
+    let turns = if TURNS.contains(&turns) { turns } else { 1.0 };
+    Some(message.scan_time / turns).filter(|time| REVOLUTIONS.contains(time))
 }
 
 /// Intensities of a message, unless they are none of a sensor: whole numbers of 18 bits, one for each
@@ -109,7 +119,10 @@ fn assumed(message: &LaserScan, resolution: u16) -> Option<Model> {
     if resolution == 1024 && (has_limits(message, &Model::default())) {
         return Some(Model::default());
     }
-    let (name, speed) = if resolution == 1024 { ("URG", 600) } else { ("UST", 2400) };
+    let (name, usual) = if resolution == 1024 { ("URG", 600) } else { ("UST", 2400) };
+    // Nominal, where the message has a measured time.
+    let speed =
+        revolution(message).map_or(usual, |time| (0.6 / time).round().max(1.0) as u32 * 100);
     let numbers = [
         ("DMIN", min.max(1.0).round() as u32),
         ("DMAX", max.round() as u32),
@@ -184,13 +197,13 @@ fn whole(number: f64) -> Option<u16> {
     ((f64::from(whole) - number).abs() <= 0.5).then_some(whole)
 }
 
-/// Returns the value that a sensor sends for a range. `urg_node` writes an error code as a range of as
-/// many millimetres: it becomes that code.
+/// Returns the value that a sensor sends for a range. `urg_node` and `hokuyo_node` write an error code
+/// as a range of as many millimetres: it becomes that code.
 fn value(range: f32, geometry: &Geometry) -> u32 {
     let millimetres = (f64::from(range) * 1000.0).round();
     match millimetres {
         far if far > f64::from(*geometry.distances().end()) => geometry.far_value(),
-        millimetres if millimetres >= 1.0 => millimetres as u32,
+        millimetres if millimetres >= 0.0 => millimetres as u32,
         _ => geometry.unknown_value(),
     }
 }

@@ -32,8 +32,9 @@ impl Recording {
     /// recorded ones, rounded to millimetres. Messages have no error codes: a range beyond the limits,
     /// such as `+Inf`, becomes the sensor's [value for
     /// that](tokio_scip::Geometry::far_value), and `NaN` and `-Inf` become an [unknown
-    /// value](tokio_scip::Geometry::unknown_value). Ranges of 0.001 to 0.019 m are error codes, as
-    /// `urg_node` writes them.
+    /// value](tokio_scip::Geometry::unknown_value). Ranges of 0 to 0.019 m are error codes, as
+    /// `urg_node` and `hokuyo_node` write them. `urg_node` writes 0 as `NaN`, and so do filters what
+    /// they remove: it stays unknown.
     ///
     /// If the file describes several streams, as after [`cut`](super::cut) has joined recordings,
     /// the latest metadata before a scan decides which stream it must belong to, once that stream has

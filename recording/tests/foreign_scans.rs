@@ -61,7 +61,7 @@ impl Scanner {
         let millimetres = (f64::from(range) * 1000.0).round();
         match () {
             () if millimetres > f64::from(self.limits.1) => self.far,
-            () if millimetres >= 1.0 => millimetres as u32,
+            () if millimetres >= 0.0 => millimetres as u32,
             () => self.unknown,
         }
     }
@@ -99,8 +99,10 @@ impl Scanner {
 }
 
 /// Time of a revolution in a message, and in nanoseconds what it stands for: `None` is the nominal one.
-const REVOLUTIONS: [(f32, Option<i64>); 9] = [
+const REVOLUTIONS: [(f32, Option<i64>); 11] = [
+    (0.2, Some(SECOND / 5)),
     (0.1, Some(SECOND / 10)),
+    (0.066_67, Some(66_670_000)),
     (0.025, Some(SECOND / 40)),
     (0.0, None),
     (100.0, None),
@@ -232,6 +234,10 @@ fn message(
     let nominal = if scanner.resolution == 1024 { SECOND / 10 } else { SECOND / 40 };
     let revolution = revolution.unwrap_or(nominal);
     let increment = scan_time * cluster as f32 / f32::from(scanner.resolution);
+    // A scan time is of several revolutions if the sensor skips scans. Only the increment tells.
+    let (turns, increment) =
+        *random.pick(&[(1.0, 0.0), (1.0, increment), (2.0, increment), (10.0, increment)]);
+    let scan_time = scan_time * turns;
     let (least, most) = (scanner.limits.0 / 1000.0, scanner.limits.1 / 1000.0);
     let fields = [from as f32, to as f32, by as f32, increment, scan_time, least, most];
     fields.iter().for_each(|field| put(&mut out, field.to_le_bytes()));
@@ -394,6 +400,15 @@ async fn every_message_is_a_scan_or_counted() {
         assert_eq!(counted(&left_out), truth.left_out, "{seed}: {left_out:?}");
         assert_eq!(scans.len(), truth.scans.len(), "{seed}");
         scans.iter().zip(&truth.scans).for_each(|(scan, expected)| check(scan, expected));
+        // The first message of an unknown sensor tells the speed of its motor, to 100 rpm.
+        let unknown =
+            truth.scans.first().filter(|scan| described.is_none() && scan.scanner != SCANNERS[0]);
+        if let (Some(scan), Some(expected)) = (scans.first(), unknown) {
+            let rpm = |nanos: f64| 60e9 / nanos;
+            let error = rpm(scan.geometry().revolution().as_nanos() as f64)
+                - rpm(expected.revolution as f64);
+            assert!(error.abs() < 1.0, "{seed}: {error} rpm");
+        }
         for (reason, count) in counted(&left_out) {
             *totals.entry(reason).or_insert(0) += count;
         }
