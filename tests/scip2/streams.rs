@@ -1,10 +1,12 @@
 //! Scans that a sensor of SCIP 2 sends on its own (`MD`): all windows and rates share them, and they
 //! end with the last reader.
 
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use futures::FutureExt;
 use tokio::time::{Instant, sleep};
+use tokio_scip::protocol::scip2::Command;
 use tokio_scip::{Rate, Scan, ScanStream, Window};
 use urg_emulator::{Emulator, Fault, Faults, Model, Values, WorldTime};
 
@@ -224,6 +226,34 @@ async fn a_driver_that_ends_stops_its_stream() {
         assert_eq!(count(&emulator, "QT"), ended + 1);
         assert!(!emulator.is_laser_on());
     }
+}
+
+/// A recorder keeps the replies whose request it knows.
+#[tokio::test(start_paused = true)]
+async fn observers_know_the_request_of_each_scan_also_beside_another_request() {
+    let emulator = numbered(Model::Ust10lx).build();
+    let scans = Arc::new(Mutex::new(Vec::new()));
+    let seen = Arc::clone(&scans);
+    let observed = builder().depth(512).on_reply(move |reply| {
+        if reply.bytes.starts_with(b"MD") && reply.bytes.len() > 1000 {
+            seen.lock().unwrap().push(
+                reply
+                    .request
+                    .is_some_and(|request| matches!(request.command(), Command::Stream(_))),
+            );
+        }
+    });
+    let sensor = observed.connect(emulator.clone()).await.unwrap();
+    let window = Window::new(0..=500).unwrap();
+    let mut stream = sensor.scans(window, Rate::UNLIMITED).await.unwrap();
+    next(&mut stream).await;
+    emulator.set_faults(Faults::none().up_to(0.5, Fault::Late(Duration::from_millis(90))).seed(1));
+    for n in 0..50 {
+        sleep(Duration::from_millis(100 + n)).await;
+        sensor.scan(Window::DETECTION).await.unwrap();
+    }
+    let scans = scans.lock().unwrap().clone();
+    assert!(scans.len() > 50 && scans.iter().all(|is_known| *is_known), "{scans:?}");
 }
 
 #[tokio::test(start_paused = true)]

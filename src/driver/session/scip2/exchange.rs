@@ -98,7 +98,12 @@ impl Scip2<'_> {
             if let Frame::Reply(bytes) = received.frame() {
                 like_a_stream = is_like_a_stream(bytes);
                 let own = find_own(request, bytes, &times, baud_rate);
-                let answered = own.filter(|_| !is_probe).map(|_| *request);
+                let mut answered = own.filter(|_| !is_probe).map(|_| *request);
+                if own.is_none() {
+                    answered =
+                        self.state.take_streamed(bytes, &times, baud_rate, &self.line.shared);
+                    is_streamed = answered.is_some();
+                }
                 self.line.observers.pass(|| raw_reply(bytes, answered, &times));
                 if let Some((frame, own)) = own {
                     times = own;
@@ -107,9 +112,6 @@ impl Scip2<'_> {
                         matches!(request.command(), Command::Version | Command::Parameters);
                     let kept = if is_identity { frame.to_vec() } else { Vec::new() };
                     outcome = parsed.map(|reply| (reply, kept, frame.len()));
-                } else {
-                    is_streamed =
-                        self.state.take_streamed(bytes, &times, baud_rate, &self.line.shared);
                 }
             }
             drop(received);

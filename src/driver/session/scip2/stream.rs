@@ -163,15 +163,14 @@ impl Scip2<'_> {
                 }
             };
             let (times, wire_len) = (received.times, received.wire_len());
-            let (mut is_own, mut like_a_stream) = (false, false);
+            let (mut own, mut like_a_stream) = (None, false);
             if let Frame::Reply(bytes) = received.frame() {
-                let own = find_own(&request, bytes, &times, baud_rate).map(|_| request);
+                own = self.state.take_streamed(bytes, &times, baud_rate, &self.line.shared);
                 self.line.observers.pass(|| raw_reply(bytes, own, &times));
                 like_a_stream = is_like_a_stream(bytes);
-                is_own = self.state.take_streamed(bytes, &times, baud_rate, &self.line.shared);
             }
             drop(received);
-            if !is_own {
+            if own.is_none() {
                 self.record_stray(wire_len, like_a_stream);
             }
             if self.state.waiting.len() > before {
@@ -226,18 +225,17 @@ impl State {
         (self.running, self.has_stray_frames, self.latest) = (None, false, None);
     }
 
-    /// Lets a scan of the stream wait. Returns false if the frame is none.
+    /// Lets a scan of the stream wait, and returns its request. Returns `None` if the frame is none.
     pub(super) fn take_streamed(
         &mut self,
         frame: &[u8],
         times: &ReplyTimes,
         baud_rate: Option<BaudRate>,
         shared: &Shared,
-    ) -> bool {
-        let Some(running) = self.running else { return false };
+    ) -> Option<Request> {
+        let running = self.running?;
         let request = running.request;
-        let own = find_own(&request, frame, times, baud_rate);
-        let Some((frame, times)) = own else { return false };
+        let (frame, times) = find_own(&request, frame, times, baud_rate)?;
         match Reply::parse(&request, frame) {
             Ok(Reply { content: Content::Scan(scan), .. }) => {
                 self.add_scan(running, scan, times, shared);
@@ -255,7 +253,7 @@ impl State {
             }
             Err(error) => self.add_malformed(&request, error, frame.len(), shared),
         }
-        true
+        Some(request)
     }
 
     /// Lets a scan wait, unless it is a copy of the latest one, or comes after a newer one.
