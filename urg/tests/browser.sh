@@ -207,7 +207,7 @@ served "$ust"
 status Live
 becomes "return radar.layers[0].scan.values.length" 1081
 becomes "return radar.layers[0].reach" 6
-becomes "return radar.layers[0].geometry.max_distance" 60000
+becomes "return radar.layers[0].geometry.max_distance" 30000
 becomes "return $(element marks).textContent" '"02468 m"'
 becomes "return radar.layers[0].codes[65533].kind" '"far"'
 becomes "return $(element colours).textContent" '"Distance"'
