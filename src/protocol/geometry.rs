@@ -95,10 +95,12 @@ impl Geometry {
     }
 
     /// Interprets a value that the sensor sent. Only a value in [`distances`](Self::distances) is a
-    /// distance, and not if it is an error code of the model.
+    /// distance, and not if it is an error code of the model, or the longest distance of a URG, UBG or
+    /// UHG in SCIP 2: a UHG-08LX sends that for all that is farther.
     pub const fn measurement(&self, value: u32) -> Measurement {
         let is_code = self.codes.meaning(value).is_some();
-        if !is_code && value > self.max_distance {
+        let most = self.max_distance;
+        if !is_code && value >= most && (value > most || matches!(self.codes, Codes::Urg)) {
             Measurement::Saturated(value)
         } else if is_code || value < self.min_distance {
             Measurement::Error(ErrorCode { value, codes: self.codes })

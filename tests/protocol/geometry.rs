@@ -81,9 +81,9 @@ fn each_model_has_the_geometry_that_it_tells() {
 }
 
 /// Values of a model that are no distance: those that stand for an object beyond the range, and all
-/// others.
-fn check_codes(geometry: Geometry, infinite: &[u32], others: &[u32]) {
-    let (least, greatest) = geometry.distances().into_inner();
+/// others. `greatest` is its longest distance.
+fn check_codes(geometry: Geometry, infinite: &[u32], others: &[u32], greatest: u32) {
+    let least = *geometry.distances().start();
     for value in (0..70_000).chain(99_990..100_010).chain([(1 << 18) - 1]) {
         let found = geometry.measurement(value);
         assert_eq!(found.value(), value);
@@ -112,18 +112,22 @@ fn check_codes(geometry: Geometry, infinite: &[u32], others: &[u32]) {
 #[test]
 fn each_model_has_its_own_codes() {
     let up_to_19: Vec<u32> = (0..20).collect();
-    check_codes(Geometry::URG_04LX, &[0, 6, 16], &up_to_19);
-    let short_range = |model| geometry(model, [20, 5600, 1024, 44, 725, 384, 600]);
-    for geometry in [urg(), ug01(), short_range("UBG-04LX-F01"), short_range("UHG-08LX")] {
-        check_codes(geometry, &[0], &up_to_19);
+    check_codes(Geometry::URG_04LX, &[0, 6, 16], &up_to_19, 4094);
+    let ubg = geometry("UBG-04LX-F01", [20, 5600, 1024, 44, 725, 384, 600]);
+    for geometry in [urg(), ug01(), ubg] {
+        check_codes(geometry, &[0], &up_to_19, 5599);
     }
-    check_codes(utm(), &[1], &[1, 2, 3, 4, 5]);
+    // Recordings of three have 322 times 11,000 mm, next to errors and to 3 m, and twice 10,999 mm.
+    let uhg = geometry("UHG-08LX", [30, 11_000, 1024, 0, 768, 384, 900]);
+    check_codes(uhg, &[0], &up_to_19, 10_999);
+    check_codes(utm(), &[1], &[1, 2, 3, 4, 5], 60_000);
     let ethernet = |model| geometry(model, [23, 60_000, 1440, 0, 1080, 540, 2400]);
     for geometry in [ust(), ethernet("UST-20LX"), ethernet("UTM-30LX-EW")] {
-        check_codes(geometry, &[65_533], &[65_533]);
+        let greatest = *geometry.distances().end();
+        check_codes(geometry, &[65_533], &[65_533], greatest);
     }
     // A distance like any other.
-    check_codes(uxm(), &[], &[]);
+    check_codes(uxm(), &[], &[], 100_000);
     for (geometry, value, text) in [
         (Geometry::URG_04LX, 1, "error code 1: Reflected light has low intensity"),
         (urg(), 1, "error code 1: little light returned"),
