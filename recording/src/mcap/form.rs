@@ -270,6 +270,8 @@ pub(super) fn next_start<E>(
     let more = extent.end - extent.fields;
     let more = match extent.kind {
         _ if more < RECORD_HEAD as u64 => extent.end,
+        // Beyond the end of the file, so its lengths may all be wrong.
+        _ if extent.end > known && !extent.is_chunk => 1,
         // Its times and offsets do not look like a record.
         kind::MESSAGE_INDEX => 1,
         _ => extent.fields,

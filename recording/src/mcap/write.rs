@@ -71,9 +71,11 @@ impl<W: Write> McapWriter<W> {
         self.offset
     }
 
-    /// Length of the file so far, including the open chunk without compression.
+    /// Length of the file so far, including the open chunk without compression, or the definitions in
+    /// it while it has no message.
     pub(crate) fn len(&self) -> u64 {
-        self.offset + self.chunk.record.len() as u64
+        let head = self.chunk.messages.span().map_or(CHUNK_HEAD, |_| 0);
+        self.offset + self.chunk.record.len().saturating_sub(head) as u64
     }
 
     /// Returns true while there is room for twice as many chunks in the index.

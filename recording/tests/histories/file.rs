@@ -469,13 +469,18 @@ impl Layout {
     }
 }
 
-/// Returns the length of a complete file up to the end of its last chunk: without its index.
+/// Returns the length of a complete file up to the end of its last chunk, or without a chunk of its
+/// definitions: without its index.
 pub(super) fn chunks_end(file: &[u8]) -> usize {
     let (mut at, mut end) = (MAGIC.len(), 0);
     while at < file.len() - MAGIC.len() {
         let (kind, content) = split(&file[at..]);
         at += 9 + content.len();
-        end = if kind == 0x06 { at } else { end };
+        match kind {
+            0x01 | 0x03 | 0x04 | 0x06 => end = at,
+            0x0f => break,
+            _ => {}
+        }
     }
     end
 }
