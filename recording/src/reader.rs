@@ -35,9 +35,10 @@ const MAX_OTHER_TOPICS: usize = 16;
 /// A damaged part is an item, [`RecordingError::Damaged`], and the records after it
 /// follow. Any other error is the last item. Reading blocks the thread.
 ///
-/// The file's longest chunk, at most 64 MiB, bounds the memory, whatever the file claims: one more
-/// of its messages may be in memory too, and up to 64 MiB of definitions of message types. With feature `compression` the limit also applies to its
-/// decompressed bytes. After damage in a file without chunks, up to 64 MiB of it are in memory.
+/// The file's longest chunk, at most 64 MiB, bounds the memory, whatever the file claims. One more of
+/// its messages may be in memory, too, and up to 64 MiB of definitions of message types. With feature
+/// `compression` the limit also applies to a chunk's decompressed bytes. After damage in a file without
+/// chunks, up to 64 MiB of it are in memory.
 ///
 /// ```no_run
 /// use urg_recording::{Entry, Recording};

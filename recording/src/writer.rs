@@ -270,8 +270,8 @@ impl Writer {
     }
 }
 
-/// Starts a file with the channels that every recording uses. Checkers of recordings refuse a topic
-/// without messages, so that of the events is declared with the first one.
+/// Starts a file with the channels of scans and replies. The channel of events follows with the first
+/// event, because some checkers of recordings refuse a topic without messages.
 fn start(out: Counted, compression: Compression) -> io::Result<Mcap> {
     let mut mcap = McapWriter::start(out, &mcap::header("ros2", LIBRARY), compression)?;
     for topic in [Topic::Scans, Topic::Replies] {

@@ -202,7 +202,7 @@ async fn a_buffered_writer_is_flushed_at_both_ends() {
     let sink = Sink::new();
     let buffered = Buffered { sink: sink.clone(), bytes: Vec::new() };
     let mut recorder = Recorder::builder().write_to(buffered).unwrap();
-    // The header, by which readers know a recording. The channels follow with the first message.
+    // Readers recognise a recording by its header. The channels follow with the first message.
     assert!(sink.bytes().starts_with(b"\x89MCAP0\r\n\x01"));
     let sensor = Sensor::builder().connect(sensor()).await.unwrap();
     recorder.record(&sensor.scan(Window::DETECTION).await).unwrap();

@@ -411,6 +411,22 @@ fn malformed_metadata_does_not_hide_a_chunk() {
     assert_eq!(read(&file), (vec![8], 2, false));
 }
 
+/// The stray byte makes a header of the metadata, whose first text ends after several chunks, and whose
+/// end lies beyond the file.
+#[test]
+fn a_stray_byte_before_damaged_metadata_hides_no_chunk() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    for more in 0..chunk.len() {
+        let pair = [text("rate"), text(&"1".repeat(20 + more))].concat();
+        let content = [&text("tokio_sc?ip")[..], &claims(pair.len() as u32), &pair].concat();
+        let mut metadata = of_kind(0x0c, &content);
+        // As if the name had gained a byte.
+        metadata[9] -= 1;
+        let file = [MAGIC, &[0x01], &metadata, &chunk.repeat(30), &end()].concat();
+        assert_eq!(read(&file), (vec![8], 30, false), "{more}");
+    }
+}
+
 #[test]
 fn a_damaged_last_record_hides_no_end() {
     let chunk = chunk_of(&[channel(), event(0)].concat());

@@ -96,7 +96,7 @@ impl Geometry {
 
     /// Interprets a value that the sensor sent. Only a value in [`distances`](Self::distances) is a
     /// distance, and not if it is an error code of the model, or the longest distance of a URG, UBG or
-    /// UHG in SCIP 2: a UHG-08LX sends that for all that is farther.
+    /// UHG in SCIP 2: three recorded sensors of 11 m sent that for all that is farther.
     pub const fn measurement(&self, value: u32) -> Measurement {
         let is_code = self.codes.meaning(value).is_some();
         let most = self.max_distance;

@@ -220,7 +220,7 @@ async fn a_rate_that_is_not_reached_is_logged_with_its_reason() {
             "a scan takes 733 ms at 19200 baud. What helps: fewer scans or steps, clusters of 9, \
              250000 baud",
         ),
-        // No baud rate carries so many.
+        // No baud rate is fast enough.
         (serial(), 1000.0, Faults::none(), "What helps: fewer scans or steps "),
     ] {
         let log = Log::default();

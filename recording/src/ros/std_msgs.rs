@@ -1,5 +1,5 @@
-//! Messages of `std_msgs`: bytes with a label, and a text. They are in files alone, where nobody
-//! compares hashes.
+//! The types of `std_msgs` that recordings have: `UInt8MultiArray` for a reply, `String` for a text. They
+//! are never published, so they need no hash.
 
 use super::MessageType;
 use super::cdr::{CdrError, CdrReader, CdrWriter};

@@ -88,7 +88,7 @@ pub(super) fn record_silence(
     failure
 }
 
-/// Counts a malformed reply, of which `skipped` bytes answer nothing, and converts its error.
+/// Counts a malformed reply and its `skipped` bytes, which belong to no reply. Converts its error.
 #[cold]
 pub(super) fn record_malformed(
     shared: &Shared,

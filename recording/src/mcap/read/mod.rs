@@ -119,9 +119,9 @@ impl Records {
         self.damaged_at.replace(damaged_at) != Some(damaged_at)
     }
 
-    /// Reads the next record, or returns `None` at the end of the data. A message is of a channel before it. After the first damage, which may have hit
-    /// definitions, the definitions in the file's index follow. After an error other than
-    /// [`RecordingError::Damaged`], no records follow.
+    /// Reads the next record, or returns `None` at the end of the data. The channel of a message has come
+    /// before it. After the first damage, which may have hit definitions, the definitions in the file's
+    /// index follow. After an error other than [`RecordingError::Damaged`], no records follow.
     pub(crate) fn next(&mut self) -> Result<Option<ReadRecord<'_>>, RecordingError> {
         if let Some((kind, place)) = self.index.as_mut().and_then(FileIndex::next_definition) {
             let content = self.index.as_ref().map(|index| index.bytes(place)).unwrap_or_default();
