@@ -83,11 +83,11 @@ const UTM: Codes = Codes {
     missing: &[(100, 1)],
 };
 
-/// Seen from real sensors.
+/// C-42-04213 p. 4.
 const NOTHING: u32 = 65_533;
 const ETHERNET: Codes = Codes {
     outside: NOTHING,
-    near: NOTHING,
+    near: 4,
     far: &[(u32::MAX, NOTHING)],
     dark: &[NOTHING],
     unstable: NOTHING,

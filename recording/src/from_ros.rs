@@ -16,8 +16,10 @@ const TOLERANCE: f64 = 0.01;
 /// Largest difference of a limit of the ranges from the sensor's, in millimetres. This crate writes
 /// limits that are a millimetre farther, other programs the sensor's own.
 const LIMIT_TOLERANCE: f64 = 1.5;
-/// Steps in a revolution of all known sensors of Hokuyo.
+/// Steps in a revolution of most sensors of Hokuyo.
 const RESOLUTIONS: [u16; 2] = [1024, 1440];
+/// Steps of a UST-10LX-H01 or -H02. Every second one is a step of a UST, too.
+const FINE_RESOLUTIONS: [u16; 1] = [2880];
 /// Largest distance of 18 bits, in millimetres.
 const LONGEST: f64 = 262_143.0;
 /// Motors turn once in 25 to 200 ms. A time beyond these limits is in another unit, or is none.
@@ -49,9 +51,9 @@ impl MessageScan {
             let place = streams.iter().position(|stream| error(message, stream).is_some())?;
             Some(streams.swap_remove(place))
         };
-        let assumed = || {
-            let assumed = RESOLUTIONS.into_iter().filter_map(|resolution| {
-                let model = assumed(message, resolution)?;
+        let assumed = |resolutions: &[u16]| {
+            let assumed = resolutions.iter().filter_map(|resolution| {
+                let model = assumed(message, *resolution)?;
                 let windows = [by_definition(message, &model), by_steps(message, &model)];
                 let stream = |window| Stream { model: model.clone(), window };
                 found(windows.into_iter().flatten().map(stream).collect())
@@ -60,7 +62,9 @@ impl MessageScan {
             let error = |stream: &Stream| error(message, stream).unwrap_or(f64::INFINITY);
             assumed.min_by(|one, other| error(one).total_cmp(&error(other)))
         };
-        let stream = found(known.collect()).or_else(assumed)?;
+        let stream = found(known.collect())
+            .or_else(|| assumed(&RESOLUTIONS))
+            .or_else(|| assumed(&FINE_RESOLUTIONS))?;
         let geometry = stream.model.geometry();
         let distances: Vec<u32> =
             message.ranges.iter().map(|range| value(*range, &geometry)).collect();

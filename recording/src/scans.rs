@@ -28,7 +28,7 @@ impl Recording {
     ///
     /// Scans whose reply was not recorded are made of the `/scan` messages, also of ones that
     /// another program recorded, if their directions are steps of a sensor: the described one, or one
-    /// with 1,024 or 1,440 steps in a revolution and the limits of the message. Distances are the
+    /// with 1,024, 1,440 or 2,880 steps in a revolution and the limits of the message. Distances are the
     /// recorded ones, rounded to millimetres. Messages have no error codes: a range beyond the limits,
     /// such as `+Inf`, becomes the sensor's [value for
     /// that](tokio_scip::Geometry::far_value), and `NaN` and `-Inf` become an [unknown

@@ -28,11 +28,12 @@ struct Scanner {
     far: u32,
 }
 
-/// A URG-04LX in SCIP 1.1 and in SCIP 2, and a sensor of 1,440 steps.
-const SCANNERS: [Scanner; 3] = [
+/// A URG-04LX in SCIP 1.1 and in SCIP 2, and sensors of 1,440 and 2,880 steps.
+const SCANNERS: [Scanner; 4] = [
     Scanner { resolution: 1024, limits: (20.0, 4094.0), unknown: 19, far: 16 },
     Scanner { resolution: 1024, limits: (20.0, 5600.0), unknown: 19, far: 0 },
     Scanner { resolution: 1440, limits: (23.0, 60_000.0), unknown: 0, far: 65_533 },
+    Scanner { resolution: 2880, limits: (21.0, 30_000.0), unknown: 0, far: 65_533 },
 ];
 
 /// Ranges in a message besides distances.
@@ -173,7 +174,10 @@ fn any_window(random: &mut Random, form: Form, scanner: Scanner) -> Window {
         let end = start + (points - 1) * cluster + rest;
         // With these angles, both forms are one.
         let is_both = form == Form::UrgNode && cluster % 2 == 1 && rest == 0 && cluster > 1;
-        if end <= scanner.last() && !is_both {
+        // These may be steps of a sensor of 1,440 as well.
+        let is_coarse =
+            form == Form::UrgNode && scanner.resolution == 2880 && cluster.is_multiple_of(2);
+        if end <= scanner.last() && !is_both && !is_coarse {
             return window(start, end, cluster as u8);
         }
     }

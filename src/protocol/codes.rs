@@ -9,7 +9,7 @@ pub(super) enum Codes {
     Urg,
     /// 1 to 5: UTM on USB (p. 12).
     Utm,
-    /// 65533: UST, and UTM on Ethernet (`-EW`). Seen from real sensors; in no document.
+    /// 4 and 65533: UST (C-42-04213 p. 4), and as seen UTM on Ethernet (`-EW`).
     Ethernet,
     /// None that are known.
     Unknown,
@@ -52,7 +52,7 @@ impl Codes {
             (Self::Utm, 1) | (Self::Ethernet, 65_533) => "nothing in range",
             (Self::Utm, 2) => "object too near",
             (Self::Utm, 3) => "interference",
-            (Self::Utm, 4) => "object before the near end of the range",
+            (Self::Utm | Self::Ethernet, 4) => "object before the near end of the range",
             (Self::Utm, 5) => "other error",
             _ => return None,
         })

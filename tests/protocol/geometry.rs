@@ -56,6 +56,11 @@ fn ust() -> Geometry {
     geometry("UST-10LX", [20, 30_000, 1440, 0, 1080, 540, 2400])
 }
 
+/// By its specification, C-42-04213.
+fn fine_ust() -> Geometry {
+    geometry("UST-10LX-H01", [21, 30_000, 2880, 0, 2160, 1080, 2400])
+}
+
 fn uxm() -> Geometry {
     geometry("UXM-30LX-E", [100, 100_000, 1440, 0, 760, 380, 1200])
 }
@@ -69,6 +74,7 @@ fn each_model_has_the_geometry_that_it_tells() {
         (ug01(), 1024, 44..=725, 20..=5600, 100, [-119.531_25, 119.882_81]),
         (utm(), 1440, 0..=1080, 23..=60_000, 25, [-135.0, 135.0]),
         (ust(), 1440, 0..=1080, 20..=30_000, 25, [-135.0, 135.0]),
+        (fine_ust(), 2880, 0..=2160, 21..=30_000, 25, [-135.0, 135.0]),
         (uxm(), 1440, 0..=760, 100..=100_000, 50, [-95.0, 95.0]),
     ] {
         assert_eq!(geometry.steps_per_revolution(), steps_per_revolution);
@@ -124,7 +130,7 @@ fn each_model_has_its_own_codes() {
     let ethernet = |model| geometry(model, [23, 60_000, 1440, 0, 1080, 540, 2400]);
     for geometry in [ust(), ethernet("UST-20LX"), ethernet("UTM-30LX-EW")] {
         let greatest = *geometry.distances().end();
-        check_codes(geometry, &[65_533], &[65_533], greatest);
+        check_codes(geometry, &[65_533], &[4, 65_533], greatest);
     }
     // A distance like any other.
     check_codes(uxm(), &[], &[], 100_000);
@@ -135,6 +141,7 @@ fn each_model_has_its_own_codes() {
         (utm(), 2, "error code 2: object too near"),
         (utm(), 22, "error code 22: value below the measurable distances"),
         (ust(), 1, "error code 1: value below the measurable distances"),
+        (ust(), 4, "error code 4: object before the near end of the range"),
         (ust(), 65_533, "error code 65533: nothing in range"),
     ] {
         let Measurement::Error(code) = geometry.measurement(value) else { panic!("{value}") };

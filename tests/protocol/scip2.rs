@@ -66,10 +66,14 @@ fn commands_have_the_bytes_of_the_text() {
 
 #[test]
 fn reply_lengths_are_those_of_real_sensors() {
-    let stream = |data| Request::new(Command::Stream(Stream::new(data, window(0, 1080))), None);
+    let stream_to = |end, data| {
+        Request::new(Command::Stream(Stream::new(data, window(0, end))), None).reply_len()
+    };
     assert_eq!(latest(Data::Distances, 44, 725).reply_len(), Some(2134));
-    assert_eq!(stream(Data::Distances).reply_len(), Some(3372));
-    assert_eq!(stream(Data::Intensities).reply_len(), Some(6717));
+    assert_eq!(stream_to(1080, Data::Distances), Some(3372));
+    assert_eq!(stream_to(1080, Data::Intensities), Some(6717));
+    // A UST-10LX-H01, by C-42-04213 p. 2.
+    assert_eq!(stream_to(2160, Data::Intensities), Some(13_399));
     assert_eq!(Request::new(Command::LaserOn, None).reply_len(), Some("BM\n00P\n\n".len()));
     let clock = Request::new(Command::Clock, Label::new("a").unwrap());
     assert_eq!(clock.reply_len(), Some("TM1;a\n00P\nm2@0?\n\n".len()));

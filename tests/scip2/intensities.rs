@@ -1,5 +1,6 @@
 //! Intensities: on request, from the models that measure them.
 
+use tokio_scip::protocol::scip2::Parameters;
 use tokio_scip::{Rate, Scan, Window};
 use urg_emulator::{Emulator, Model, Values, World, WorldTime};
 
@@ -45,5 +46,25 @@ async fn a_scan_has_them_if_asked_for() {
         sensor.close().await;
         let plain = builder().connect(emulator).await.unwrap();
         assert_eq!(plain.scan(Window::DETECTION).await.unwrap().intensities(), None);
+    }
+}
+
+/// A UST-10LX-H01 measures 2,161 steps (C-42-04213 p. 2). No known sensor has longer replies.
+#[tokio::test(start_paused = true)]
+async fn a_scan_of_eighths_of_a_degree_has_them() {
+    let told =
+        "MODL:UST-10LX-H01 DMIN:21 DMAX:30000 ARES:2880 AMIN:0 AMAX:2160 AFRT:1080 SCAN:2400";
+    let pairs = told.split(' ').filter_map(|pair| pair.split_once(':'));
+    let parameters = Parameters::from_pairs(pairs).unwrap();
+    let model = Model::Ust10lx;
+    let emulator = Emulator::builder().model(model).parameters(parameters).world(Numbers).build();
+    let sensor = builder().intensities(true).connect(emulator).await.unwrap();
+    for rate in [Rate::hz(0.5), Rate::UNLIMITED] {
+        let mut stream = sensor.scans(Window::DETECTION, rate).await.unwrap();
+        for _ in 0..100 {
+            let scan = next(&mut stream).await;
+            assert_eq!((scan.len(), scan.angle_min().to_degrees()), (2161, -135.0));
+            check(&scan, model);
+        }
     }
 }

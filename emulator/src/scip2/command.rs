@@ -79,8 +79,10 @@ const CLASSIC: &[Model] = &[Model::Urg04lx];
 const URG: &[Model] = &[Model::Urg04lx, Model::Urg04lxUg01];
 const UTM: &[Model] = &[Model::Utm30lx, Model::Ust10lx];
 const UST: &[Model] = &[Model::Ust10lx];
+/// All that know two characters for a distance: a UST does not (C-42-04076 p. 13).
+const SHORT: &[Model] = &[Model::Urg04lx, Model::Urg04lxUg01, Model::Utm30lx];
 
-const FORMS: [Form; 22] = [
+const FORMS: [Form; 24] = [
     ("VV", 0, ALL, |_| Ok(Command::Version)),
     ("PP", 0, ALL, |_| Ok(Command::Parameters)),
     ("II", 0, ALL, |_| Ok(Command::State)),
@@ -96,9 +98,11 @@ const FORMS: [Form; 22] = [
     ("SS", 6, ALL, |digits| digits.baud_rate()),
     ("CR", 2, ALL, |digits| digits.motor_speed()),
     ("HS", 1, URG, |digits| digits.sensitivity()),
-    ("GD GS", 10, ALL, |digits| digits.asked().map(Command::Latest)),
+    ("GD", 10, ALL, |digits| digits.asked().map(Command::Latest)),
+    ("GS", 10, SHORT, |digits| digits.asked().map(Command::Latest)),
     ("GE", 10, UTM, |digits| digits.asked().map(Command::Latest)),
-    ("MD MS", 13, ALL, |digits| digits.stream()),
+    ("MD", 13, ALL, |digits| digits.stream()),
+    ("MS", 13, SHORT, |digits| digits.stream()),
     ("ME", 13, UTM, |digits| digits.stream()),
     ("%MD %ME", 13, UST, |digits| digits.stream()),
     ("GE HD HE", 10, CLASSIC, |_| Ok(Command::Locking)),

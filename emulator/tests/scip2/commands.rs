@@ -137,13 +137,16 @@ async fn each_model_answers_with_its_status() {
         (&[Urg, Ug01, Utm, Ust], "QT;a-b", "0Hh"),
         // Steps, clusters, skips and counts.
         (&[Urg, Ug01, Utm, Ust], "GDx044072501", "01Q"),
-        (&[Urg, Ug01, Utm, Ust], "GS004407+501", "02R"),
+        (&[Urg, Ug01, Utm, Ust], "GD004407+501", "02R"),
         (&[Urg, Ug01, Utm, Ust], "GD00440725 1", "03S"),
         (&[Urg, Ug01], "GD0044076901", "04T"),
         (&[Utm, Ust], "GD0044108101", "04T"),
         (&[Urg, Ug01, Utm, Ust], "MD0100009901000", "05U"),
         (&[Urg, Ug01, Utm, Ust], "MD0044072501x00", "06V"),
-        (&[Urg, Ug01, Utm, Ust], "MS00440725010-1", "07W"),
+        (&[Urg, Ug01, Utm], "MS00440725010-1", "07W"),
+        (&[Urg, Ug01, Utm], "GS0044072501", "10Q"),
+        (&[Ust], "GS0044072501", "0Ee"),
+        (&[Ust], "MS0044072501000", "0Ee"),
         // Baud rates and speeds.
         (&[Urg], "SS115200", "00P"),
         (&[Urg], "SS038400", "04T"),
@@ -192,7 +195,7 @@ async fn distances_have_two_or_three_characters_and_intensities_three() {
         (Model::Ust10lx, "GD0006000601", "1DhM"),
         (Model::Ust10lx, "GD0000000301", "0CBA5`00C001o"),
         // 70,000 mm do not fit.
-        (Model::Ust10lx, "GS0000000301", "CBoo0C01g"),
+        (Model::Utm30lx, "GS0000000301", "CBoo0C01g"),
         (Model::Ust10lx, "GE0000000101", "0CB2;hA5`04I="),
         (Model::Urg04lx, "GS0000000001", "CB5"),
         // The least distance; a code only where there is no distance.

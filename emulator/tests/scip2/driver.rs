@@ -71,9 +71,12 @@ async fn every_window_and_cluster_is_read_as_measured() {
         let Content::Parameters(parameters) = parameters.content else { panic!() };
         let geometry = parameters.geometry();
 
-        let has_intensities = *parameters.steps.end() == 1080;
-        let kinds = [Data::Distances, Data::ShortDistances, Data::Intensities];
-        let kinds = if has_intensities { &kinds[..] } else { &kinds[..2] };
+        let kinds = [Data::ShortDistances, Data::Distances, Data::Intensities];
+        let kinds = match model {
+            Model::Utm30lx => &kinds[..],
+            Model::Ust10lx => &kinds[1..],
+            _ => &kinds[..2],
+        };
         for (window, cluster) in
             windows(model).into_iter().flat_map(|w| [1, 2, 3, 64, 99].map(|c| (w.clone(), c)))
         {

@@ -47,6 +47,7 @@ fn answer(model: Model, state: &State, command: &str) -> (&'static str, State) {
     match (command, state) {
         ("XX", _) => same("0Ee"),
         ("%ST" | "%SL", _) if !is_ust => same("0Ee"),
+        (short, _) if is_ust && ["GS", "MS"].contains(&&short[..2]) => same("0Ee"),
         ("VV" | "TM1" | "%ST", _) => same("00P"),
         ("RT", _) => ("00P", Standby),
         ("TM0", Clock) => same("02R"),

@@ -49,7 +49,7 @@ async fn a_stream_sends_every_scan_once() {
 
 #[tokio::test(start_paused = true)]
 async fn a_stream_skips_and_counts_down() {
-    let emulator = counting(Model::Ust10lx);
+    let emulator = counting(Model::Utm30lx);
     let mut link = emulator.link();
     assert_eq!(ask(&mut link, "MS0044004501211;b").await, "MS0044004501211;b\n00P\n\n");
     let mut revolutions = Vec::new();

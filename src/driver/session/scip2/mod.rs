@@ -29,9 +29,9 @@ use crate::scan::Values;
 use crate::state::{ParametersReply, VersionReply};
 use crate::{BaudRate, ErrorKind, Geometry, Window};
 
-/// Longest reply: `ME` of 1,081 steps has 6,717 bytes. Another program may have left a stream of
-/// these, 40 a second.
-pub(super) const LIMITS: Limits = Limits { frame: 8 * 1024, frames: 256, bytes: 1024 * 1024 };
+/// Longest reply: `ME` of a UST-10LX-H01's 2,161 steps has 13,399 bytes. Another program may have left a
+/// stream of these, 40 a second.
+pub(super) const LIMITS: Limits = Limits { frame: 16 * 1024, frames: 256, bytes: 1024 * 1024 };
 /// Number of unanswered probes after which a link counts as silent. Fewer if the sensor may have
 /// restarted at another baud rate.
 const PROBES: usize = 6;
