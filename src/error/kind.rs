@@ -241,7 +241,7 @@ impl fmt::Display for Sentence<'_> {
             }
             ErrorKind::Busy { port } => write!(
                 f,
-                "{port} is in use: stop the program that has it open (`fuser {port}` shows it; ModemManager probes new ports for some seconds)"
+                "{port} is in use: stop the program that has it open, such as gpsd (`sudo fuser {port}` shows it)"
             ),
             ErrorKind::Open { port, source } => {
                 let remedy = match source.kind() {

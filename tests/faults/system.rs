@@ -258,9 +258,11 @@ async fn o15_an_interrupted_call_is_retried_and_not_reported() {
 fn o18_messages_and_guide_name_the_programs_that_probe_new_ports() {
     // The driver cannot prevent that they probe; messages and guide name them.
     let busy = ErrorKind::Busy { port: "/dev/ttyACM0".to_owned() }.to_string();
-    assert!(busy.contains("ModemManager") && busy.contains("fuser /dev/ttyACM0"), "{busy}");
+    assert!(busy.contains("gpsd") && busy.contains("sudo fuser /dev/ttyACM0"), "{busy}");
     let guide = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/src/guide/operating.md"));
-    assert!(guide.contains("ENV{ID_MM_DEVICE_IGNORE}=\"1\""), "the guide has no udev rule");
+    for remedy in ["ENV{ID_MM_DEVICE_IGNORE}=\"1\"", "USBAUTO=\"false\""] {
+        assert!(guide.contains(remedy), "the guide has no {remedy}");
+    }
 }
 
 #[tokio::test(start_paused = true)]
