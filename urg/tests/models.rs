@@ -113,7 +113,8 @@ fn a_picture_is_as_large_as_the_room() {
 
 /// Intensity that the emulator has for each of these values.
 fn reflected(values: &[u64]) -> Vec<Value> {
-    values.iter().map(|value| (20_000_000 / (value + 1000)).into()).collect()
+    let of = |value: u64| if value == 65_533 { 0 } else { (2_000_000 / (value + 1000)).max(370) };
+    values.iter().map(|value| of(*value).into()).collect()
 }
 
 #[test]
@@ -157,7 +158,7 @@ fn intensities_are_in_each_format_if_asked_for() {
 
 #[test]
 fn a_picture_shows_intensities_as_shades() {
-    // Intensities of 10,000 on the right, 2,500 on the left.
+    // Intensities of 1,000 on the right, 370 on the left.
     let world = |_: WorldTime, values: &mut Values| {
         values.fill(7000);
         values[..300].fill(1000);
@@ -166,7 +167,7 @@ fn a_picture_shows_intensities_as_shades() {
     let (_runtime, port) = on_tcp(emulator);
     let svg = run(&format!("scan {port} --format svg --intensity"), 0).stdout;
     let count = |class: &str| svg.matches(&format!("<circle class=\"{class}\"")).count();
-    assert_eq!((count("d7"), count("d5")), (300, 781));
+    assert_eq!((count("d3"), count("d2")), (300, 781));
     assert!(svg.contains("Shades of intensity: 64 to 16384, each twice the last."), "{svg}");
     assert!(svg.contains(".d0 { fill: #9087f6 }"), "{svg}");
     let without = run(&format!("scan {port} --format svg"), 0).stdout;

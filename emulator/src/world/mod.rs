@@ -79,12 +79,15 @@ pub trait World: Send {
     /// 12 bits, SCIP 2 the low 18 bits.
     fn measure(&mut self, time: WorldTime, values: &mut Values);
 
-    /// Fills in the intensity of each step, for the models that measure it. By default near
-    /// surfaces are brighter: `20,000,000 / (1000 + value)`.
+    /// Fills in the intensity of each step, for the models that measure it. By default about as in
+    /// scans of real UST-10LX: `2,000,000 / (1000 + value)` and at least 370, or 0 without a distance.
     fn measure_intensities(&mut self, time: WorldTime, values: &Values, intensities: &mut Values) {
         let _ = time;
         for (intensity, value) in intensities.iter_mut().zip(values) {
-            *intensity = 20_000_000 / value.saturating_add(1000);
+            *intensity = match value {
+                0..20 | 65_533 => 0,
+                value => (2_000_000 / value.saturating_add(1000)).max(370),
+            };
         }
     }
 }

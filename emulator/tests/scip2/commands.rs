@@ -196,7 +196,10 @@ async fn distances_have_two_or_three_characters_and_intensities_three() {
         (Model::Ust10lx, "GD0000000301", "0CBA5`00C001o"),
         // 70,000 mm do not fit.
         (Model::Utm30lx, "GS0000000301", "CBoo0C01g"),
-        (Model::Ust10lx, "GE0000000101", "0CB2;hA5`04I="),
+        (Model::Ust10lx, "GE0000000101", "0CB0=oA5`05b^"),
+        // What is no distance has no intensity.
+        (Model::Ust10lx, "GE0004000401", "?om000["),
+        (Model::Utm30lx, "GE0003000301", "001000Q"),
         (Model::Urg04lx, "GS0000000001", "CB5"),
         // The least distance; a code only where there is no distance.
         (Model::Ust10lx, "GD0000000504", "0CB04\\e"),

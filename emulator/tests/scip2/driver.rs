@@ -97,7 +97,10 @@ async fn every_window_and_cluster_is_read_as_measured() {
                         expected.iter_mut().for_each(|value| *value = (*value).min(4095));
                     }
                     assert_eq!(scan.distances(), expected, "{model:?} {window:?} {cluster}");
-                    let bright = |value: &u32| 20_000_000 / (value + 1000);
+                    let bright = |value: &u32| match value {
+                        0..20 | 65_533 => 0,
+                        value => (2_000_000 / (value + 1000)).max(370),
+                    };
                     let expected: Vec<u32> = match data {
                         Data::Intensities => expected.iter().map(bright).collect(),
                         _ => Vec::new(),
