@@ -116,7 +116,15 @@ impl Device {
             };
         }
         if *is_in_scip2 {
-            return session.execute(body, line, times, measure);
+            let mut answer = session.execute(body, line, times, measure);
+            // Captures of UST-10LX have the CR of the command there, and no LF.
+            if body.model.is_on_ethernet()
+                && answer.bytes.starts_with(&line.bytes)
+                && let Some(end) = answer.bytes.get_mut(line.bytes.len())
+            {
+                *end = line.end;
+            }
+            return answer;
         }
         let command = Command::parse(&line.bytes, line.too_long);
         if command == Command::Scip2 && dialect.firmware == Firmware::V31 {

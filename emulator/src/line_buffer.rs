@@ -13,6 +13,8 @@ pub(crate) struct CommandLine {
     pub(crate) at: Instant,
     /// Line without its terminator, cut to `MAX_LINE_BYTES`.
     pub(crate) bytes: Vec<u8>,
+    /// Its terminator.
+    pub(crate) end: u8,
     /// True if it was cut.
     pub(crate) too_long: bool,
     /// True if the two ends of the line had different baud rates.
@@ -66,7 +68,7 @@ impl LineBuffer {
             return None;
         }
         let Self { bytes, too_long, garbled, overlapping } = std::mem::take(self);
-        Some(CommandLine { at, bytes, too_long, garbled, overlapping, repeated: false })
+        Some(CommandLine { at, bytes, end: byte, too_long, garbled, overlapping, repeated: false })
     }
 }
 

@@ -130,9 +130,14 @@ impl TimedDevice {
             byte_time = (self.receiving_until - start) / received.len().max(1) as u32;
         }
         let mut at = start;
-        for &byte in received {
+        let next = received.iter().skip(1).map(Some).chain([None]);
+        for (&byte, next) in received.iter().zip(next) {
             at += byte_time;
             if at < self.powered_at + self.timing.boot {
+                continue;
+            }
+            if (byte, next) == (b'\r', Some(&b'\n')) && self.device.body.model.is_on_ethernet() {
+                // The LF ends the line: clients that send both work with a UST.
                 continue;
             }
             let is_answering = self.is_answering(at);

@@ -187,6 +187,18 @@ async fn each_model_answers_with_its_status() {
     }
 }
 
+/// As a UST-10LX sent to a host that ends its commands with CR, and as hosts read it that send both.
+#[tokio::test(start_paused = true)]
+async fn the_echo_of_a_ust_ends_as_the_command_did() {
+    for (model, ends) in [(Model::Ust10lx, ["\n", "\r", "\n"]), (Model::Utm30lx, ["\n"; 3])] {
+        for (command, end) in ["BM\n", "BM\r", "BM\r\n"].into_iter().zip(ends) {
+            let mut link = sensor(model).build().link();
+            link.write_all(command.as_bytes()).await.unwrap();
+            assert_eq!(listen(&mut link).await, format!("BM{end}00P\n\n"), "{model:?} {command:?}");
+        }
+    }
+}
+
 #[tokio::test(start_paused = true)]
 async fn distances_have_two_or_three_characters_and_intensities_three() {
     let world = Fixed::new([1234, 70_000, 19, 1, 65_533, 300, 5432]);
