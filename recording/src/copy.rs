@@ -2,7 +2,7 @@
 //! numbers of schemas and channels are new, so that no two topics share one.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap, HashMap};
+use std::collections::{BTreeMap, BinaryHeap};
 use std::io::{Read, Write};
 use std::ops::RangeBounds;
 use std::time::Duration;
@@ -180,8 +180,6 @@ struct Source {
     records: Records,
     /// Content of the file's header.
     header: Option<Vec<u8>>,
-    /// Number in the copy of each channel, once it has one.
-    channels: HashMap<u16, u16>,
     /// Metadata before the next message.
     metadata: Vec<Vec<u8>>,
     /// Content of the next message.
@@ -215,10 +213,6 @@ impl Source {
             };
             match kind {
                 kind::HEADER => drop(self.header.get_or_insert_with(|| content.to_vec())),
-                kind::SCHEMA | kind::CHANNEL => {
-                    // A schema changes its channels.
-                    self.channels.clear();
-                }
                 kind::METADATA => {
                     metadata_bytes += content.len();
                     self.metadata.push(content.to_vec());
@@ -313,15 +307,12 @@ impl<W: Write> Copy<W> {
         if !is_inside && identity.is_none() && latched.is_none() {
             return Ok(());
         }
-        let channel =
-            source.channels.get(&header.channel).copied().or_else(|| {
-                definitions.write_channel(header.channel, lost_schema, &mut self.writer)
-            });
-        let Some(channel) = channel else {
+        let Some(channel) =
+            definitions.write_channel(header.channel, lost_schema, &mut self.writer)
+        else {
             self.outcome.add_damage(source.records.report_damage());
             return Ok(());
         };
-        source.channels.insert(header.channel, channel);
         header.channel = channel;
         if let Some(topic) = latched {
             if !self.latched.keep(&topic, header, data, record) {

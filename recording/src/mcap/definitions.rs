@@ -16,6 +16,8 @@ pub(crate) struct Definitions {
     /// Content of each, after its number.
     contents: HashMap<(u8, u16), Vec<u8>>,
     bytes: usize,
+    /// Numbers of the channels in another file, by these definitions.
+    written: HashMap<u16, u16>,
 }
 
 impl Definitions {
@@ -29,6 +31,7 @@ impl Definitions {
             return false;
         }
         self.bytes = bytes;
+        self.written.clear();
         self.contents.insert((kind, number), fields.0.to_vec());
         true
     }
@@ -49,11 +52,14 @@ impl Definitions {
     /// Writes a channel, after its schema, unless it is written. Returns its number there, or `None`
     /// if it is not defined, or the other file has no room for it.
     pub(crate) fn write_channel<W: Write>(
-        &self,
+        &mut self,
         number: u16,
         lost_schema: LostSchema,
         writer: &mut McapWriter<W>,
     ) -> Option<u16> {
+        if let Some(written) = self.written.get(&number) {
+            return Some(*written);
+        }
         let content = self.get(kind::CHANNEL, number)?;
         let mut fields = Fields(content);
         let schema = fields.u16()?;
@@ -63,12 +69,15 @@ impl Definitions {
             // Stands for no schema.
             None => 0,
         };
-        writer.declare(kind::CHANNEL, number, &[&schema.to_le_bytes(), fields.0].concat())
+        let content = [&schema.to_le_bytes(), fields.0].concat();
+        let written = writer.declare(kind::CHANNEL, number, &content)?;
+        self.written.insert(number, written);
+        Some(written)
     }
 
     /// Writes what is not written yet. Returns false if the other file has no room for it.
     pub(crate) fn write_rest<W: Write>(
-        &self,
+        &mut self,
         lost_schema: LostSchema,
         writer: &mut McapWriter<W>,
     ) -> bool {

@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::{Range, RangeInclusive};
 
-use super::form::{After, is_well_formed, measure, record_head};
+use super::form::{After, measure};
 use super::{FILE_END, FOOTER_BYTES, Fields, MAX_INDEX_BYTES, RECORD_HEAD, kind};
 
 /// Bytes of a recording, in order.
@@ -36,87 +36,53 @@ impl Input {
         file.seek(SeekFrom::Start(place)).map(drop)
     }
 
-    /// Reads the index at the end of the file. Returns an empty one if the index is
-    /// incomplete, or if this is not a file. Reading then continues where it was.
-    pub(super) fn index(&mut self) -> io::Result<FileIndex> {
-        let Some(file) = &mut self.file else { return Ok(FileIndex::default()) };
+    /// Reads the records of the index at the end of the file. Returns none if the index is incomplete,
+    /// or if this is not a file. Reading then continues where it was.
+    pub(super) fn index(&mut self) -> io::Result<Vec<u8>> {
+        let Some(file) = &mut self.file else { return Ok(Vec::new()) };
         // A pipe has no position.
-        let Ok(here) = file.stream_position() else { return Ok(FileIndex::default()) };
+        let Ok(here) = file.stream_position() else { return Ok(Vec::new()) };
         let index = index(file).unwrap_or_default();
         self.continue_at(here)?;
         Ok(index)
     }
 }
 
-/// Records of the index at the end of a file.
-#[derive(Default)]
-pub(crate) struct FileIndex {
-    records: Vec<u8>,
-    /// Position of the next record for [`next_definition`](Self::next_definition).
-    at: usize,
+/// Returns the kind and the content of each record of an index.
+pub(super) fn index_records(index: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
+    let mut rest = index;
+    std::iter::from_fn(move || {
+        let extent = measure(rest, After::End).ok()?;
+        let (record, after) = rest.split_at_checked(usize::try_from(extent.end).ok()?)?;
+        rest = after;
+        Some((extent.kind, record.get(RECORD_HEAD..extent.fields as usize)?))
+    })
 }
 
-impl FileIndex {
-    /// Lists the parts of the file, in their order, that contain only chunks without a message at
-    /// these times (nanoseconds since 1970).
-    pub(super) fn parts_outside(&self, times: &RangeInclusive<u64>) -> Vec<Range<u64>> {
-        let outside = |content: &[u8]| {
-            let (place, first, last) = chunk(content)?;
-            (last < *times.start() || first > *times.end()).then_some(place)
-        };
-        let (mut at, mut chunks) = (0, Vec::new());
-        while let Some((kind, content)) = self.record(at) {
-            at = content.end;
-            if kind == kind::CHUNK_INDEX {
-                chunks.extend(outside(self.bytes(content)));
-            }
-        }
-        chunks.sort_unstable_by_key(|place| place.start);
-        let mut parts: Vec<Range<u64>> = Vec::new();
-        for chunk in chunks {
-            match parts.last_mut() {
-                // Only chunks that follow each other directly, so that everything between
-                // two chunks is read.
-                Some(part) if part.end == chunk.start => part.end = chunk.end,
-                _ => parts.push(chunk),
-            }
-        }
-        parts
-    }
-
-    /// Returns the next of the schemas and channels, which the index repeats: its kind, and the
-    /// place of its content.
-    pub(super) fn next_definition(&mut self) -> Option<(u8, Range<usize>)> {
-        loop {
-            let (kind, content) = self.record(self.at)?;
-            let start = std::mem::replace(&mut self.at, content.end);
-            let record = self.bytes(start..content.end);
-            let Ok(extent) = measure(record, After::End) else { continue };
-            let fields = content.start..start + extent.fields as usize;
-            if matches!(kind, kind::SCHEMA | kind::CHANNEL)
-                && is_well_formed(kind, self.bytes(fields.clone()))
-            {
-                return Some((kind, fields));
-            }
+/// Lists the parts of a file, in their order, that contain only chunks without a message at these
+/// times (nanoseconds since 1970), by its index.
+pub(super) fn parts_outside(index: &[u8], times: &RangeInclusive<u64>) -> Vec<Range<u64>> {
+    let outside = |(kind, content): (u8, &[u8])| {
+        let (place, first, last) = chunk(content).filter(|_| kind == kind::CHUNK_INDEX)?;
+        (last < *times.start() || first > *times.end()).then_some(place)
+    };
+    let mut chunks: Vec<_> = index_records(index).filter_map(outside).collect();
+    chunks.sort_unstable_by_key(|place| place.start);
+    let mut parts: Vec<Range<u64>> = Vec::new();
+    for chunk in chunks {
+        match parts.last_mut() {
+            // Only chunks that follow each other directly, so that everything between
+            // two chunks is read.
+            Some(part) if part.end == chunk.start => part.end = chunk.end,
+            _ => parts.push(chunk),
         }
     }
-
-    pub(super) fn bytes(&self, place: Range<usize>) -> &[u8] {
-        self.records.get(place).unwrap_or_default()
-    }
-
-    /// Returns the kind of the record at this position, and the place of its content.
-    fn record(&self, at: usize) -> Option<(u8, Range<usize>)> {
-        let (kind, length) = record_head(self.records.get(at..)?)?;
-        let start = at + RECORD_HEAD;
-        let end = start.checked_add(usize::try_from(length).ok()?)?;
-        (end <= self.records.len()).then_some((kind, start..end))
-    }
+    parts
 }
 
 /// Reads the index at the end of a file. Returns `None` if it is incomplete, or has no
 /// checksum to prove it: a wrong position would leave out wanted records.
-fn index(file: &mut File) -> Option<FileIndex> {
+fn index(file: &mut File) -> Option<Vec<u8>> {
     let end = file.seek(SeekFrom::End(0)).ok()?.checked_sub(FILE_END as u64)?;
     file.seek(SeekFrom::Start(end)).ok()?;
     let mut footer = [0; FILE_END];
@@ -134,7 +100,7 @@ fn index(file: &mut File) -> Option<FileIndex> {
     let mut checked = crc32fast::Hasher::new();
     checked.update(&index);
     checked.update(footer.get(..RECORD_HEAD + FOOTER_BYTES - 4)?);
-    (checked.finalize() == crc).then_some(FileIndex { records: index, at: 0 })
+    (checked.finalize() == crc).then_some(index)
 }
 
 /// Parses a chunk's index: its position, including the lists of its messages, and the times

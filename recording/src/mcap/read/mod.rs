@@ -15,7 +15,7 @@ use self::chunk::ChunkRecords;
 use super::form::{
     Extent, Kinds, is_known, is_message_index, is_well_formed, next_start, outside_chunks,
 };
-use super::input::FileIndex;
+use super::input::{index_records, parts_outside};
 use super::window::Window;
 use super::{ChunkBytes, Definitions, Fields, Input, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
 use crate::RecordingError;
@@ -52,8 +52,8 @@ pub(crate) struct Records {
     /// Set once the file is known to have chunks, or none.
     has_chunks: Option<bool>,
     definitions: Definitions,
-    /// Index of the file, once its definitions are needed.
-    index: Option<FileIndex>,
+    /// Set once the index of the file was read.
+    has_index: bool,
     /// Parts of the file to leave out.
     unwanted: VecDeque<Range<u64>>,
     /// Position of the last reported damage.
@@ -85,27 +85,32 @@ impl Records {
     }
 
     /// Schemas and channels so far.
-    pub(crate) fn definitions(&self) -> &Definitions {
-        &self.definitions
+    pub(crate) fn definitions(&mut self) -> &mut Definitions {
+        &mut self.definitions
     }
 
     /// Leaves out chunks without a message at these times, if the file's index lists them.
-    /// Returns its definitions next: the chunks may have them.
     pub(crate) fn leave_out_others(
         &mut self,
         times: &RangeInclusive<u64>,
     ) -> Result<(), RecordingError> {
-        let index = self.read_index()?;
-        self.unwanted = index.parts_outside(times).into();
-        self.index = Some(index);
+        self.unwanted = parts_outside(&self.read_index()?, times).into();
         Ok(())
     }
 
-    /// Reads the index at the end of the file, which is empty if the file has none.
-    fn read_index(&mut self) -> Result<FileIndex, RecordingError> {
+    /// Reads the index at the end of the file, which is empty if the file has none, and its definitions:
+    /// the chunks with them may be damaged or left out.
+    fn read_index(&mut self) -> Result<Vec<u8>, RecordingError> {
         let index = self.window.input.index();
         self.is_over |= index.is_err();
-        index.map_err(RecordingError::read)
+        let index = index.map_err(RecordingError::read)?;
+        self.has_index = true;
+        for (kind, content) in index_records(&index) {
+            if matches!(kind, kind::SCHEMA | kind::CHANNEL) && is_well_formed(kind, content) {
+                self.definitions.define(kind, content);
+            }
+        }
+        Ok(index)
     }
 
     /// Reports the latest record as damaged. Returns the position of the record, or of its chunk if it is
@@ -120,14 +125,8 @@ impl Records {
     }
 
     /// Reads the next record, or returns `None` at the end of the data. The channel of a message has come
-    /// before it. After the first damage, which may have hit definitions, the definitions in the file's
-    /// index follow. After an error other than [`RecordingError::Damaged`], no records follow.
+    /// before it. After an error other than [`RecordingError::Damaged`], no records follow.
     pub(crate) fn next(&mut self) -> Result<Option<ReadRecord<'_>>, RecordingError> {
-        if let Some((kind, place)) = self.index.as_mut().and_then(FileIndex::next_definition) {
-            let content = self.index.as_ref().map(|index| index.bytes(place)).unwrap_or_default();
-            self.definitions.define(kind, content);
-            return Ok(Some((kind, content, &self.definitions)));
-        }
         while !self.is_over {
             match self.next_place() {
                 Ok(Some((kind, content))) => {
@@ -135,8 +134,9 @@ impl Records {
                 }
                 Err(RecordingError::Damaged { offset, .. }) if !self.is_news(offset) => {}
                 Err(error @ RecordingError::Damaged { .. }) => {
-                    if self.index.is_none() {
-                        self.index = Some(self.read_index()?);
+                    // It may have hit definitions.
+                    if !self.has_index {
+                        self.read_index()?;
                     }
                     return Err(error);
                 }
