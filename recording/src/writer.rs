@@ -223,7 +223,7 @@ impl Writer {
 
     /// Continues in a further file with the open chunk, which this file has no room for.
     fn outgrow(&mut self) -> io::Result<()> {
-        let chunk = self.mcap.take_chunk();
+        let records = self.mcap.take_records();
         self.parts.stay_below(self.mcap.written());
         let began = self.chunk_began.map(|(began, _)| began).or(self.part.began);
         let Part { reply, after_scan, .. } = self.part;
@@ -231,7 +231,7 @@ impl Writer {
         // The chunk may have events.
         declare(&mut self.mcap, Topic::Events);
         self.part = Part { began, reply, after_scan, ..Part::default() };
-        self.mcap.put_chunk(chunk)
+        self.mcap.add_messages(&records)
     }
 
     /// Ends the file, which has no open chunk. If it may not grow by its index, it gets none.

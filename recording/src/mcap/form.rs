@@ -152,6 +152,17 @@ pub(super) fn measure(bytes: &[u8], after: After) -> Result<Extent, Unmeasured> 
     Ok(Extent { kind, fields, end, counts, is_chunk: is_chunk && counts && has_name })
 }
 
+/// Returns the kind and the content of each of some records that are not damaged.
+pub(super) fn records_of(records: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
+    let mut rest = records;
+    std::iter::from_fn(move || {
+        let extent = measure(rest, After::End).ok()?;
+        let (record, after) = rest.split_at_checked(usize::try_from(extent.end).ok()?)?;
+        rest = after;
+        Some((extent.kind, record.get(RECORD_HEAD..extent.fields as usize)?))
+    })
+}
+
 /// Returns true for a kind whose fields prove its length.
 fn has_lengths(kind: u8) -> bool {
     matches!(

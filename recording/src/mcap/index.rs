@@ -15,19 +15,6 @@ pub(super) struct ChunkMessages {
     channels: BTreeMap<u16, Vec<[u64; 2]>>,
 }
 
-/// Where a chunk is, and how it is compressed.
-pub(super) struct ChunkPlace {
-    /// Log times of its first and its last message.
-    pub(super) times: (u64, u64),
-    pub(super) start: u64,
-    /// Length of its record.
-    pub(super) length: u64,
-    pub(super) compression: &'static str,
-    /// Length of its records, with compression and without.
-    pub(super) compressed: u64,
-    pub(super) size: u64,
-}
-
 /// Contents of a file's summary.
 #[derive(Default)]
 pub(super) struct Index {
@@ -59,11 +46,6 @@ impl ChunkMessages {
     pub(super) fn add(&mut self, header: MessageHeader, place: usize) {
         self.span = Some(extend(self.span, header.log_time, header.log_time));
         self.channels.entry(header.channel).or_default().push([header.log_time, place as u64]);
-    }
-
-    /// Moves the messages away from the beginning of the chunk by a number of bytes.
-    pub(super) fn shift(&mut self, bytes: u64) {
-        self.channels.values_mut().flatten().for_each(|[_, place]| *place += bytes);
     }
 
     /// Log times of the first and the last message.
@@ -144,26 +126,17 @@ impl Index {
         self.limit_length();
     }
 
-    /// Adds a chunk with these messages, followed by the `lists` of them at these `places`.
-    pub(super) fn add_chunk(
-        &mut self,
-        place: &ChunkPlace,
-        messages: &ChunkMessages,
-        lists: &[u8],
-        places: &[u8],
-    ) {
+    /// Adds a chunk with these messages. `content` is the content of its index.
+    pub(super) fn add_chunk(&mut self, messages: &ChunkMessages, content: &[u8]) {
         self.chunks += 1;
-        let (first, last) = place.times;
-        self.span = Some(extend(self.span, first, last));
+        if let Some((first, last)) = messages.span {
+            self.span = Some(extend(self.span, first, last));
+        }
         for (channel, messages) in &messages.channels {
             *self.messages.entry(*channel).or_default() += messages.len() as u64;
         }
         put_record(&mut self.chunk_indexes, kind::CHUNK_INDEX, |out| {
-            put_numbers(out, &[first, last, place.start, place.length]);
-            put_bytes(out, places);
-            put_numbers(out, &[lists.len() as u64]);
-            put_bytes(out, place.compression.as_bytes());
-            put_numbers(out, &[place.compressed, place.size]);
+            out.extend_from_slice(content);
         });
         self.limit_length();
     }

@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::{Range, RangeInclusive};
 
-use super::form::{After, measure};
+use super::form::records_of;
 use super::{FILE_END, FOOTER_BYTES, Fields, MAX_INDEX_BYTES, RECORD_HEAD, kind};
 
 /// Bytes of a recording, in order.
@@ -48,17 +48,6 @@ impl Input {
     }
 }
 
-/// Returns the kind and the content of each record of an index.
-pub(super) fn index_records(index: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
-    let mut rest = index;
-    std::iter::from_fn(move || {
-        let extent = measure(rest, After::End).ok()?;
-        let (record, after) = rest.split_at_checked(usize::try_from(extent.end).ok()?)?;
-        rest = after;
-        Some((extent.kind, record.get(RECORD_HEAD..extent.fields as usize)?))
-    })
-}
-
 /// Lists the parts of a file, in their order, that contain only chunks without a message at these
 /// times (nanoseconds since 1970), by its index.
 pub(super) fn parts_outside(index: &[u8], times: &RangeInclusive<u64>) -> Vec<Range<u64>> {
@@ -66,7 +55,7 @@ pub(super) fn parts_outside(index: &[u8], times: &RangeInclusive<u64>) -> Vec<Ra
         let (place, first, last) = chunk(content).filter(|_| kind == kind::CHUNK_INDEX)?;
         (last < *times.start() || first > *times.end()).then_some(place)
     };
-    let mut chunks: Vec<_> = index_records(index).filter_map(outside).collect();
+    let mut chunks: Vec<_> = records_of(index).filter_map(outside).collect();
     chunks.sort_unstable_by_key(|place| place.start);
     let mut parts: Vec<Range<u64>> = Vec::new();
     for chunk in chunks {

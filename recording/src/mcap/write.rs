@@ -4,7 +4,8 @@
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
-use super::index::{ChunkMessages, ChunkPlace, Index};
+use super::form::records_of;
+use super::index::{ChunkMessages, Index};
 use super::{
     CHUNK_HEAD, Compression, FOOTER_BYTES, MAGIC, MAX_INDEX_BYTES, MessageHeader, RECORD_HEAD,
     kind, put_bytes, put_numbers, put_record,
@@ -30,7 +31,7 @@ pub(crate) struct McapWriter<W> {
 
 /// Chunk that grows in memory.
 #[derive(Default)]
-pub(crate) struct OpenChunk {
+struct OpenChunk {
     /// Record of the chunk from its beginning. Its head is filled in at the end.
     record: Vec<u8>,
     messages: ChunkMessages,
@@ -160,22 +161,18 @@ impl<W: Write> McapWriter<W> {
         self.end()
     }
 
-    /// Takes the open chunk, which the file has no room for.
-    pub(crate) fn take_chunk(&mut self) -> OpenChunk {
-        std::mem::take(&mut self.chunk)
+    /// Takes the records of the open chunk, which the file has no room for.
+    pub(crate) fn take_records(&mut self) -> Vec<u8> {
+        let mut chunk = std::mem::take(&mut self.chunk);
+        chunk.record.split_off(CHUNK_HEAD.min(chunk.record.len()))
     }
 
-    /// Continues with the open chunk of a file that has the same channels.
-    pub(crate) fn put_chunk(&mut self, mut chunk: OpenChunk) -> io::Result<()> {
-        self.end_chunk()?;
-        if !chunk.record.is_empty() {
-            // Without a message, they are not written yet.
-            let definitions = self.chunk.record.split_off(CHUNK_HEAD.min(self.chunk.record.len()));
-            chunk.messages.shift(definitions.len() as u64);
-            chunk.record.splice(CHUNK_HEAD..CHUNK_HEAD, definitions);
-            self.chunk = chunk;
-        }
-        Ok(())
+    /// Adds the messages among the records of a chunk of another file that has the same channels.
+    pub(crate) fn add_messages(&mut self, records: &[u8]) -> io::Result<()> {
+        records_of(records)
+            .filter(|(kind, _)| *kind == kind::MESSAGE)
+            .filter_map(|(_, content)| MessageHeader::parse(content))
+            .try_for_each(|(header, data)| self.message(header, data))
     }
 
     /// Makes room for the head of the open chunk, unless it has begun.
@@ -195,7 +192,7 @@ impl<W: Write> McapWriter<W> {
     /// chunk stays open. It also does without messages: such a chunk would have the time 0, and viewers
     /// begin a file with its earliest chunk.
     fn end_chunk(&mut self) -> io::Result<()> {
-        let Some(times @ (start, end)) = self.chunk.messages.span() else { return Ok(()) };
+        let Some((start, end)) = self.chunk.messages.span() else { return Ok(()) };
         let mut chunk = std::mem::take(&mut self.chunk);
         let records = chunk.record.get(CHUNK_HEAD..).unwrap_or_default();
         let (size, crc) = (records.len(), crc32fast::hash(records));
@@ -218,15 +215,13 @@ impl<W: Write> McapWriter<W> {
             place.copy_from_slice(&head);
         }
         let length = record.len();
-        let place = ChunkPlace {
-            times,
-            start: self.offset,
-            length: length as u64,
-            compression,
-            compressed: (length - head_bytes) as u64,
-            size: size as u64,
-        };
-        let (lists, places) = chunk.messages.indexes(place.start + place.length);
+        let (lists, places) = chunk.messages.indexes(self.offset + length as u64);
+        let mut entry = Vec::new();
+        put_numbers(&mut entry, &[start, end, self.offset, length as u64]);
+        put_bytes(&mut entry, &places);
+        put_numbers(&mut entry, &[lists.len() as u64]);
+        put_bytes(&mut entry, compression.as_bytes());
+        put_numbers(&mut entry, &[(length - head_bytes) as u64, size as u64]);
         record.extend_from_slice(&lists);
         let written = self.out.write_all(record);
         if let Err(error) = written {
@@ -235,7 +230,7 @@ impl<W: Write> McapWriter<W> {
             return Err(error);
         }
         self.offset += record.len() as u64;
-        self.index.add_chunk(&place, &chunk.messages, &lists, &places);
+        self.index.add_chunk(&chunk.messages, &entry);
         // The next chunk reuses the memory.
         chunk.record.clear();
         self.chunk.record = chunk.record;

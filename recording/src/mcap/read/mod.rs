@@ -14,8 +14,9 @@ use std::ops::{Range, RangeInclusive};
 use self::chunk::ChunkRecords;
 use super::form::{
     Extent, Kinds, is_known, is_message_index, is_well_formed, next_start, outside_chunks,
+    records_of,
 };
-use super::input::{index_records, parts_outside};
+use super::input::parts_outside;
 use super::window::Window;
 use super::{ChunkBytes, Definitions, Fields, Input, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
 use crate::RecordingError;
@@ -105,7 +106,7 @@ impl Records {
         self.is_over |= index.is_err();
         let index = index.map_err(RecordingError::read)?;
         self.has_index = true;
-        for (kind, content) in index_records(&index) {
+        for (kind, content) in records_of(&index) {
             if matches!(kind, kind::SCHEMA | kind::CHANNEL) && is_well_formed(kind, content) {
                 self.definitions.define(kind, content);
             }
