@@ -3,7 +3,6 @@
 
 use std::fs::{self, Metadata};
 use std::io::{self, Write};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
@@ -15,7 +14,7 @@ use super::{RecordingError, lock};
 
 /// With this many index entries, a file is split at the next opportunity. Less than the maximum,
 /// because the file grows until then.
-pub(super) const MAX_PART_ENTRIES: usize = 65_000;
+const MAX_PART_ENTRIES: usize = 65_000;
 /// Longest file without another limit: FAT, on most USB sticks, has room for 4 GiB and the index needs
 /// some of it.
 const MAX_PART_BYTES: u64 = 4_000_000_000;
@@ -167,32 +166,21 @@ impl Parts {
     }
 }
 
-/// Counts the bytes written. A panic of the user's writer becomes an error that ends the recording but
-/// not its thread.
+/// Counts the bytes written.
 pub(super) struct Counted {
     out: Box<dyn Write + Send>,
     progress: Arc<Mutex<Progress>>,
 }
 
-impl Counted {
-    fn catch_panic<T>(
-        &mut self,
-        work: impl FnOnce(&mut dyn Write) -> io::Result<T>,
-    ) -> io::Result<T> {
-        let done = catch_unwind(AssertUnwindSafe(|| work(&mut *self.out)));
-        done.unwrap_or_else(|_| Err(io::Error::other("the writer panicked")))
-    }
-}
-
 impl Write for Counted {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let written = self.catch_panic(|out| out.write(bytes))?;
+        let written = self.out.write(bytes)?;
         lock(&self.progress).bytes += written as u64;
         Ok(written)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.catch_panic(|out| out.flush())
+        self.out.flush()
     }
 }
 

@@ -3,6 +3,7 @@
 //! scans come, and `held` holds all messages until the trigger.
 
 use std::io::{self, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, Mutex};
@@ -92,7 +93,11 @@ impl Queue {
         let writer = writer.map_err(RecordingError::write)?;
         let thread = {
             let queue = Arc::clone(&queue);
-            move || queue.end(write_all(writer, &receiver, &queue))
+            move || {
+                let written = AssertUnwindSafe(|| write_all(writer, &receiver, &queue));
+                let panicked = |_| Err(io::Error::other("the writer panicked"));
+                queue.end(catch_unwind(written).unwrap_or_else(panicked));
+            }
         };
         std::thread::Builder::new()
             .name("recorder".to_owned())
@@ -150,7 +155,7 @@ impl Queue {
     }
 
     /// Ends the file after all queued items. The receiver resolves once the file is
-    /// written, or with an error if the thread has ended before.
+    /// written, or with an error if the thread ends before.
     pub(super) fn finish(&self) -> oneshot::Receiver<()> {
         lock(&self.pending).end(|item| self.hold(item));
         let (done, finished) = oneshot::channel();

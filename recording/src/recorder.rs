@@ -177,8 +177,10 @@ impl Recorder {
     pub async fn complete(&mut self) -> Result<Progress, RecordingError> {
         // First: replies that come meanwhile are not lost ones.
         self.observation = None;
-        // An error means that the thread has ended; `failure` has the reason.
-        let _ = self.queue.finish().await;
+        if self.queue.finish().await.is_err() {
+            // The thread ends, and then `failure` has the reason.
+            self.queue.ended().await;
+        }
         self.is_complete = true;
         self.queue.failure().map_or_else(|| Ok(self.progress()), Err)
     }

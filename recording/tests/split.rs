@@ -201,3 +201,29 @@ async fn the_last_file_is_complete_if_no_other_can_be_created() {
     assert!(cause.contains("_0002.mcap"), "{cause}");
     assert_eq!(scans(&read(&path)).len(), 1);
 }
+
+/// A file can only be split at a scan, and grows until one comes. Each event is in a chunk of its own.
+#[tokio::test(start_paused = true)]
+async fn a_file_split_by_its_chunks_has_an_index() {
+    let path = folder("split-chunks").join("run.mcap");
+    let mut recorder = Recorder::builder().sync_interval(None).create(&path).unwrap();
+    let emulator = sensor();
+    let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
+    emulator.unplug();
+    let item = sensor.scan(Window::DETECTION).await;
+    drop(sensor);
+    const EVENTS: u64 = 65_010;
+    for _ in 0..EVENTS {
+        tokio::time::advance(Duration::from_secs(1)).await;
+        recorder.record(&item).unwrap();
+        recorder.ready().await;
+    }
+    assert_eq!(recorder.finish().await.unwrap().files, 2);
+    let messages = parts(&path).into_iter().map(|path| {
+        let file = fs::read(path).unwrap();
+        let summary = mcap::Summary::read(&file).unwrap().expect("no index");
+        summary.stats.unwrap().message_count
+    });
+    let messages: Vec<_> = messages.collect();
+    assert!(messages[1] > 0 && messages.iter().sum::<u64>() == EVENTS, "{messages:?}");
+}

@@ -11,39 +11,33 @@ impl Records {
     /// checksum is right if it has one, and nothing follows.
     pub(super) fn is_end_whole(&mut self, data_end: &Extent) -> Result<bool, RecordingError> {
         let window = &mut self.window;
-        if data_end.kind == kind::DATA_END && !window.skip_with(data_end.end, |_| {})? {
+        if data_end.kind == kind::DATA_END && !window.skip(data_end.end)? {
             return Ok(false);
         }
         let start = window.offset;
-        let mut summary = crc32fast::Hasher::new();
-        loop {
-            let head = window.peek(FILE_END + 1)?;
-            let Some((kind, length)) = record_head(head) else { return Ok(false) };
-            if kind != kind::FOOTER {
-                let length = length.saturating_add(RECORD_HEAD as u64);
-                let known = window.peek(length.min(MAX_CHUNK_BYTES) as usize)?.len() as u64;
-                // Stays before what is no summary: it may be data.
-                if known < length || window.begins(0, is_data)? {
-                    return Ok(false);
-                }
-                window.skip_with(length, |bytes| summary.update(bytes))?;
-                continue;
+        window.checksum = Some(crc32fast::Hasher::new());
+        while let Some((kind, length)) = record_head(window.peek(RECORD_HEAD)?)
+            && kind != kind::FOOTER
+        {
+            let length = length.saturating_add(RECORD_HEAD as u64);
+            let known = window.peek(length.min(MAX_CHUNK_BYTES) as usize)?.len() as u64;
+            // Stays before what is no summary: it may be data.
+            if known < length || window.begins(0, is_data)? {
+                return Ok(false);
             }
-            let Some(checked) = head.get(..RECORD_HEAD + FOOTER_BYTES - 4) else {
-                return Ok(false);
-            };
-            summary.update(checked);
-            let is_last = length == FOOTER_BYTES as u64 && head.len() == FILE_END;
-            let is_whole = is_last && head.ends_with(&MAGIC);
-            let mut fields = Fields(head.get(RECORD_HEAD..).unwrap_or_default());
-            let (Some(at), Some(_offsets), Some(crc)) = (fields.u64(), fields.u64(), fields.u32())
-            else {
-                return Ok(false);
-            };
-            // A position of 0 means that there is none, and a checksum of 0 that it is not known.
-            let is_checked = crc == 0 || crc == summary.finalize();
-            return Ok(is_whole && is_checked && (at == start || at == 0));
+            window.skip(length)?;
         }
+        let mut summary = window.checksum.take().unwrap_or_default();
+        let end = window.peek(FILE_END + 1)?;
+        let is_last = end.len() == FILE_END && end.ends_with(&MAGIC);
+        let (content, crc) = end.split_at(end.len().min(RECORD_HEAD + FOOTER_BYTES - 4));
+        summary.update(content);
+        let (mut fields, crc) = (Fields(content.get(1..).unwrap_or_default()), Fields(crc).u32());
+        let (length, at) = (fields.u64(), fields.u64());
+        // A position of 0 means that there is none, and a checksum of 0 that it is not known.
+        let is_right = (at == Some(start) || at == Some(0))
+            && (crc == Some(0) || crc == Some(summary.finalize()));
+        Ok(is_last && length == Some(FOOTER_BYTES as u64) && is_right)
     }
 
     /// Skips the footer here and the magic bytes after it if another file begins there, as
@@ -55,6 +49,6 @@ impl Records {
             return Ok(false);
         }
         self.window.checksum = None;
-        self.window.skip_with(JOINED as u64, |_| {})
+        self.window.skip(JOINED as u64)
     }
 }
