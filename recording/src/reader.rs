@@ -71,8 +71,8 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Opens a recording and reads up to its metadata: at most 256 messages, and at most one
-    /// message beyond the first MiB of records. `path` may be a folder as `ros2 bag record` makes it:
+    /// Opens a recording and reads up to its metadata and its first message: at most 256 messages, and
+    /// at most one message beyond the first MiB of records. `path` may be a folder as `ros2 bag record` makes it:
     /// its [files](recording_files) are read one after the other.
     ///
     /// # Errors
@@ -109,19 +109,20 @@ impl Recording {
             other_topics: BTreeSet::new(),
             left_out: LeftOutCounter::default(),
         };
-        let mut found = 0;
-        while recording.metadata.is_empty()
-            && found < METADATA_SEARCH_RECORDS
+        let (mut messages, mut damaged) = (0, 0);
+        // The first message shows that this build reads the compression.
+        while (recording.metadata.is_empty() || messages == 0)
+            && messages + damaged < METADATA_SEARCH_RECORDS
             && recording.read_bytes < METADATA_SEARCH_BYTES
         {
             match recording.advance() {
                 None => break,
                 Some(Ok(item)) => {
-                    found += usize::from(matches!(item, Some(Item::Record(_))));
+                    messages += usize::from(matches!(item, Some(Item::Record(_))));
                     recording.ahead.extend(item.map(Ok));
                 }
                 Some(Err(error @ RecordingError::Damaged { .. })) => {
-                    found += 1;
+                    damaged += 1;
                     recording.ahead.push_back(Err(error));
                 }
                 Some(Err(error)) => return Err(error),
