@@ -4,7 +4,9 @@ use serde_json::Value;
 use tokio::io::AsyncWriteExt;
 use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
+use tokio_scip::{Rate, Sensor, Window};
 use urg_emulator::{Emulator, Firmware, Model, Values, WorldTime};
+use urg_recording::Recorder;
 
 use super::formats::{scans, values};
 use super::program::{Scratch, run};
@@ -333,4 +335,22 @@ fn a_recording_of_a_model_is_read_as_the_sensor() {
         assert_eq!((&last["start"], &last["end"]), (&0.into(), &1080.into()));
         assert_eq!(last["values"].as_array().unwrap().len(), 1081);
     }
+}
+
+/// Without its reply to `V`, the metadata name a sensor.
+#[tokio::test]
+async fn info_shows_the_first_sensor_of_a_joined_recording() {
+    let [ust, urg, both] = ["ust", "urg", "both-models"].map(Scratch::mcap);
+    for (model, file) in [(Model::Ust10lx, &ust), (Model::Urg04lx, &urg)] {
+        let emulator = Emulator::builder().model(model).build();
+        let sensor = Sensor::builder().connect(emulator).await.unwrap();
+        let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+        let mut recorder = Recorder::create(file.path()).unwrap();
+        recorder.describe(&sensor, &scans).await.unwrap();
+        recorder.record(&scans.next().await.unwrap()).unwrap();
+        recorder.finish().await.unwrap();
+    }
+    run(&format!("cut {} {} {}", ust.path(), urg.path(), both.path()), 0);
+    let info = run(&format!("info {}", both.path()), 0).stdout;
+    assert!(info.contains("UST-10LX") && info.contains("20 to 30000 mm"), "{info}");
 }

@@ -51,11 +51,16 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
     let (mut stamps, mut log_times) = (Clock::default(), Clock::default());
     let mut sensor_clock = SensorClock::default();
     let (mut damaged_at, mut geometry, mut has_intensities) = (Vec::new(), None, false);
+    let mut version = Version::default();
     // Same scans as in a replay.
     let mut recorded = recording.scans().of_one_sensor();
     while let Some(scan) = recorded.next() {
         match scan {
             Ok(scan) => {
+                // Another sensor's may follow.
+                if geometry.is_none() {
+                    version = recorded.version();
+                }
                 geometry.get_or_insert(*scan.geometry());
                 windows.add(scan.window());
                 has_intensities |= scan.intensities().is_some();
@@ -135,7 +140,10 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
         let text = format!("{began}, for {}", clock(seconds));
         rows.insert(0, ("recorded", json!({ "began": began, "seconds": seconds }), text));
     }
-    Ok(Contents { version: recorded.version(), geometry, baud_rate, rows, left_out })
+    if version == Version::default() {
+        version = recorded.version();
+    }
+    Ok(Contents { version, geometry, baud_rate, rows, left_out })
 }
 
 fn left_out_row(counts: &[LeftOut]) -> Row {
