@@ -172,6 +172,9 @@ async fn a_recording_without_replies_has_the_scans_of_its_messages() {
             assert_eq!(version.serial_number, expected);
 
             let emulator = sink.open().replay(ReplayPace::Recorded).unwrap();
+            // The first fence asks for a random step: once in 769 times for the only step of a window,
+            // whose first reply it takes.
+            fastrand::seed(7);
             let replay = Sensor::builder().depth(64).connect(emulator).await.unwrap();
             assert_eq!(replay.version().await.unwrap().serial_number, expected);
             let mut stream = replay.scans(window, Rate::hz(10.0)).await.unwrap();

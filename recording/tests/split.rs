@@ -160,6 +160,27 @@ async fn an_old_file_that_cannot_be_removed_is_told() {
     }
 }
 
+#[tokio::test]
+async fn old_files_are_removed_before_the_first_message() {
+    let path = folder("split-empty").join("run.mcap");
+    let second = path.with_file_name("run_0002.mcap");
+    let record = async |builder: RecorderBuilder, path| {
+        builder.create(path).unwrap().finish().await.unwrap();
+    };
+    record(Recorder::builder(), &path).await;
+    let file = fs::read(&path).unwrap();
+    // Its index does not count while it is written.
+    let end_of_data = [0x0f, 4, 0, 0, 0, 0, 0, 0, 0];
+    let length = file.windows(9).position(|part| part == end_of_data).unwrap();
+    for (missing, is_kept) in [(0, true), (1, false)] {
+        fs::write(&path, &file).unwrap();
+        let keep = (file.len() + length - missing) as u64;
+        record(Recorder::builder().keep_bytes(keep), &path).await;
+        assert_eq!((path.exists(), second.exists()), (is_kept, true));
+        fs::remove_file(&second).unwrap();
+    }
+}
+
 /// The consumer is so far behind that a scan is outstanding at each place where the file could be
 /// split.
 #[tokio::test(start_paused = true)]
