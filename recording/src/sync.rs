@@ -128,7 +128,7 @@ fn run(steps: &mpsc::Receiver<SyncStep>, interval: Duration, state: &Mutex<SyncS
     let mut next = Some(Instant::now());
     // An interval may be longer than the clock runs.
     let sync = |file: &mut Option<Sync>| sync(file, interval, state).checked_add(interval);
-    loop {
+    let _done = loop {
         let step = match due {
             None => steps.recv().map_err(|_| RecvTimeoutError::Disconnected),
             Some(due) => steps.recv_timeout(due.saturating_duration_since(Instant::now())),
@@ -145,16 +145,11 @@ fn run(steps: &mpsc::Receiver<SyncStep>, interval: Duration, state: &Mutex<SyncS
                 file = Some(begun);
                 next = sync(&mut file);
             }
-            Ok(SyncStep::Finish(done)) => {
-                sync(&mut file);
-                return drop(done);
-            }
-            Err(RecvTimeoutError::Disconnected) => {
-                sync(&mut file);
-                return;
-            }
+            Ok(SyncStep::Finish(done)) => break Some(done),
+            Err(RecvTimeoutError::Disconnected) => break None,
         }
-    }
+    };
+    sync(&mut file);
 }
 
 #[cfg(test)]

@@ -37,24 +37,20 @@ pub(super) struct Extent {
 }
 
 impl Extent {
-    /// Returns the extent of a record that reaches beyond the end of the file.
-    pub(super) fn endless(kind: u8) -> Self {
+    /// Returns the extent of a record whose lengths are cut off.
+    fn endless(kind: u8) -> Self {
         Self { kind, fields: u64::MAX, end: u64::MAX, counts: false, is_chunk: false }
+    }
+
+    /// Returns true for a record whose lengths are cut off.
+    pub(super) fn is_endless(&self) -> bool {
+        self.fields == u64::MAX
     }
 
     /// Returns true if the lengths in the record prove its end.
     pub(super) fn is_proved(&self) -> bool {
         has_lengths(self.kind) && self.fields == self.end && self.end < u64::MAX
     }
-}
-
-/// Reason why a record has no extent.
-#[derive(Debug)]
-pub(super) enum Unmeasured {
-    /// Number of bytes needed to tell.
-    Needs(usize),
-    /// No record has this kind and these lengths.
-    Wrong,
 }
 
 /// Head of a chunk whose lengths agree with each other.
@@ -86,12 +82,17 @@ pub(super) enum After {
     Nothing,
 }
 
-/// Measures the record at the beginning of `bytes`.
-pub(super) fn measure(bytes: &[u8], after: After) -> Result<Extent, Unmeasured> {
-    let (kind, length) = record_head(bytes).ok_or(Unmeasured::Needs(RECORD_HEAD))?;
+/// Measures the record at the beginning of `bytes`. Returns `None` if no record has this kind and these
+/// lengths. Fails with the number of bytes that are needed to tell.
+pub(super) fn measure(bytes: &[u8], after: After) -> Result<Option<Extent>, usize> {
+    let cut_off = |count| match after {
+        After::More => Err(count),
+        _ => Ok(Some(Extent::endless(bytes.first().copied().unwrap_or_default()))),
+    };
+    let Some((kind, length)) = record_head(bytes) else { return cut_off(RECORD_HEAD) };
     // Length of the numbers at the beginning, number of texts, and length after long data.
     let (numbers, texts, after_data, most) = match kind {
-        0 => return Err(Unmeasured::Wrong),
+        0 => return Ok(None),
         kind::HEADER | kind::METADATA => (0, 2, None, MAX_RECORD_BYTES),
         kind::SCHEMA => (2, 3, None, MAX_RECORD_BYTES),
         kind::CHANNEL => (4, 3, None, MAX_RECORD_BYTES),
@@ -105,7 +106,7 @@ pub(super) fn measure(bytes: &[u8], after: After) -> Result<Extent, Unmeasured> 
         _ => (0, 0, None, MAX_SKIPPED_BYTES),
     };
     if length > most {
-        return Err(Unmeasured::Wrong);
+        return Ok(None);
     }
     let end = RECORD_HEAD as u64 + length;
     let (mut fields, mut counts) = ((RECORD_HEAD + numbers) as u64, false);
@@ -113,20 +114,18 @@ pub(super) fn measure(bytes: &[u8], after: After) -> Result<Extent, Unmeasured> 
     for (width, after) in lengths {
         // A length has to be near the beginning: only what it counts may be long.
         if fields > MAX_RECORD_BYTES || fields + width as u64 > end {
-            return Err(Unmeasured::Wrong);
+            return Ok(None);
         }
         let (at, mut number) = (fields as usize, [0; 8]);
-        let bytes = bytes.get(at..at + width).ok_or(Unmeasured::Needs(at + width))?;
+        let Some(bytes) = bytes.get(at..at + width) else { return cut_off(at + width) };
         number.iter_mut().zip(bytes).for_each(|(to, from)| *to = *from);
         counts |= number != [0; 8];
-        let after = fields.checked_add(width as u64 + after);
-        let after = after.and_then(|after| after.checked_add(u64::from_le_bytes(number)));
-        fields = after.ok_or(Unmeasured::Wrong)?;
+        fields = (fields + width as u64 + after).saturating_add(u64::from_le_bytes(number));
     }
     let is_chunk = kind == kind::CHUNK;
     let needed = end.min(MAX_CHUNK_HEAD as u64) as usize;
     if !is_chunk && bytes.len() < needed && after == After::More {
-        return Err(Unmeasured::Needs(needed));
+        return Err(needed);
     }
     let chunk = chunk_head(bytes);
     let has_name =
@@ -146,17 +145,17 @@ pub(super) fn measure(bytes: &[u8], after: After) -> Result<Extent, Unmeasured> 
                 && (records_end == end || has_name && !has_lengths(kind) && records_end < end)
         });
     if fields > end || is_wrong || is_other {
-        return Err(Unmeasured::Wrong);
+        return Ok(None);
     }
     let fields = if has_lengths(kind) { fields } else { end };
-    Ok(Extent { kind, fields, end, counts, is_chunk: is_chunk && counts && has_name })
+    Ok(Some(Extent { kind, fields, end, counts, is_chunk: is_chunk && counts && has_name }))
 }
 
 /// Returns the kind and the content of each of some records that are not damaged.
 pub(super) fn records_of(records: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
     let mut rest = records;
     std::iter::from_fn(move || {
-        let extent = measure(rest, After::End).ok()?;
+        let extent = measure(rest, After::End).ok()??;
         let (record, after) = rest.split_at_checked(usize::try_from(extent.end).ok()?)?;
         rest = after;
         Some((extent.kind, record.get(RECORD_HEAD..extent.fields as usize)?))
@@ -220,11 +219,9 @@ pub(super) fn begins(bytes: &[u8], after: After, at: u64, kinds: Kinds) -> Resul
 
 /// Returns true if a record of these kinds begins at `at`, whatever follows. Fails as [`begins`].
 pub(super) fn is_shown(bytes: &[u8], after: After, at: u64, kinds: Kinds) -> Result<bool, usize> {
-    match measure(bytes.get(at as usize..).unwrap_or_default(), after) {
-        Ok(extent) => Ok(shows(&extent) && kinds(extent.kind)),
-        Err(Unmeasured::Needs(count)) if after == After::More => Err(at as usize + count),
-        Err(_) => Ok(false),
-    }
+    let at = at as usize;
+    let extent = measure(bytes.get(at..).unwrap_or_default(), after).map_err(|count| at + count)?;
+    Ok(extent.is_some_and(|extent| shows(&extent) && kinds(extent.kind)))
 }
 
 /// The same, with this number of records to follow.
@@ -244,20 +241,20 @@ fn begins_before(
         // The record before ends here, or was cut off.
         return Ok(at == bytes.len() || after != After::Nothing && followers == 0);
     }
-    match measure(bytes.get(at..).unwrap_or_default(), after) {
-        Err(Unmeasured::Wrong) => Ok(false),
-        Err(Unmeasured::Needs(count)) if after == After::More => Err(at + count),
-        Err(Unmeasured::Needs(_)) => Ok(after != After::Nothing && followers < FOLLOWERS),
-        Ok(extent) if !kinds(extent.kind) => Ok(false),
+    let extent = measure(bytes.get(at..).unwrap_or_default(), after).map_err(|count| at + count)?;
+    match extent {
+        None => Ok(false),
+        Some(extent) if extent.is_endless() => Ok(after != After::Nothing && followers < FOLLOWERS),
+        Some(extent) if !kinds(extent.kind) => Ok(false),
         // Up to two bytes before a chunk, its lengths agree, too.
-        Ok(extent) if extent.is_chunk && !extent.is_proved() => {
+        Some(extent) if extent.is_chunk && !extent.is_proved() => {
             let is_chunk = |at| is_shown(bytes, after, at, |kind| kind == kind::CHUNK);
             Ok(!is_chunk(at as u64 + 1)? && !is_chunk(at as u64 + 2)?)
         }
-        Ok(extent) if shows(&extent) => Ok(true),
-        Ok(extent) if extent.end > MAX_CHUNK_BYTES => Ok(false),
-        Ok(_) if followers == 0 => Ok(true),
-        Ok(extent) => {
+        Some(extent) if shows(&extent) => Ok(true),
+        Some(extent) if extent.end > MAX_CHUNK_BYTES => Ok(false),
+        Some(_) if followers == 0 => Ok(true),
+        Some(extent) => {
             let next = at as u64 + extent.end;
             let after = match after {
                 After::More => After::More,
@@ -279,13 +276,11 @@ pub(super) fn next_start<E>(
 ) -> Result<u64, E> {
     // More fields may be records, if they are long enough: then the length is wrong.
     let more = extent.end - extent.fields;
-    let more = match extent.kind {
+    let more = match () {
         _ if more < RECORD_HEAD as u64 => extent.end,
-        // Beyond the end of the file, so its lengths may all be wrong.
-        _ if extent.end > known && !extent.is_chunk => 1,
-        // Its times and offsets do not look like a record.
-        kind::MESSAGE_INDEX => 1,
-        _ => extent.fields,
+        // Its fields are records.
+        _ if extent.is_chunk => extent.fields,
+        _ => 1,
     };
     let ends = (more..extent.end.min(known)).chain([extent.end]);
     for at in std::iter::once(1).chain(ends).chain(1..extent.end.min(known)) {

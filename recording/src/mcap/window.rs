@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use crc32fast::Hasher;
 
-use super::form::{After, Extent, Kinds, Unmeasured, begins, is_shown, measure};
+use super::form::{After, Extent, Kinds, begins, is_shown, measure};
 use super::input::Input;
 use crate::RecordingError;
 
@@ -94,17 +94,9 @@ impl Window {
         Ok(())
     }
 
-    /// Measures the record here, or returns `None` if no record begins here. A record whose lengths
-    /// the file does not have to its end reaches beyond it.
+    /// Measures the record here, or returns `None` if no record begins here.
     pub(super) fn measure(&mut self) -> Result<Option<Extent>, RecordingError> {
-        self.decide(|bytes, after| match measure(bytes, after) {
-            Ok(extent) => Ok(Some(extent)),
-            Err(Unmeasured::Wrong) => Ok(None),
-            Err(Unmeasured::Needs(more)) if bytes.len() < more && after == After::More => Err(more),
-            Err(Unmeasured::Needs(_)) => {
-                Ok(Some(Extent::endless(bytes.first().copied().unwrap_or_default())))
-            }
-        })
+        self.decide(measure)
     }
 
     /// Returns true if a record of these kinds begins `at` bytes from here.

@@ -6,7 +6,7 @@ use super::{Place, Records};
 use crate::RecordingError;
 use crate::mcap::compression::decompress;
 use crate::mcap::form::{
-    After, ChunkHead, Unmeasured, begins, chunk_head, is_known, is_well_formed, measure, next_start,
+    After, ChunkHead, begins, chunk_head, is_known, is_well_formed, measure, next_start,
 };
 use crate::mcap::{Compression, RECORD_HEAD};
 
@@ -83,16 +83,16 @@ impl Records {
             let bytes = self.bytes(rest.clone());
             let known = bytes.len() as u64;
             let is_cut = self.chunk.is_cut;
-            let extent = measure(bytes, After::End);
+            let extent = measure(bytes, After::End).ok().flatten();
             let begins = |at, kinds| begins(bytes, After::End, at, kinds);
             let next = match &extent {
-                Ok(extent) if self.chunk.is_proved || extent.is_proved() => extent.end,
-                Ok(extent) => {
+                Some(extent) if extent.is_endless() && is_cut => continue,
+                Some(extent) if self.chunk.is_proved || extent.is_proved() => extent.end,
+                Some(extent) => {
                     let kinds = |at| if at == extent.end { |_| true } else { is_known };
                     next_start(extent, known, |at| begins(at, kinds(at))).unwrap_or(known)
                 }
-                Err(Unmeasured::Needs(_)) if is_cut => continue,
-                Err(_) => {
+                None => {
                     let is_here = |at: &u64| begins(*at, is_known).unwrap_or_default();
                     (1..known).find(is_here).unwrap_or(known)
                 }
@@ -100,7 +100,7 @@ impl Records {
             let start = usize::try_from(next).unwrap_or(usize::MAX).saturating_add(rest.start);
             self.chunk.rest = start.min(rest.end)..rest.end;
             match extent {
-                Ok(extent) if next == extent.end && next <= known => {
+                Some(extent) if next == extent.end && next <= known => {
                     let content = rest.start + RECORD_HEAD..rest.start + extent.fields as usize;
                     if !is_well_formed(extent.kind, self.bytes(content.clone())) {
                         return Err(self.damaged("a record is malformed"));
@@ -108,7 +108,7 @@ impl Records {
                     self.define(extent.kind, &content)?;
                     return Ok(Some((extent.kind, content)));
                 }
-                Ok(extent) if next == extent.end && is_cut => {}
+                Some(extent) if next == extent.end && is_cut => {}
                 _ => return Err(self.damaged("a record in a chunk has a wrong length")),
             }
         }

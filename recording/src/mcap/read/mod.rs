@@ -59,7 +59,6 @@ pub(crate) struct Records {
     unwanted: VecDeque<Range<u64>>,
     /// Position of the last reported damage.
     damaged_at: Option<u64>,
-    is_started: bool,
     is_over: bool,
     is_truncated: bool,
 }
@@ -168,8 +167,7 @@ impl Records {
     }
 
     fn next_place(&mut self) -> Result<Option<Place>, RecordingError> {
-        if !self.is_started {
-            self.is_started = true;
+        if self.window.offset == 0 && self.used == 0 {
             let magic = self.window.peek(MAGIC.len())?;
             let magic = magic.get(..MAGIC.len()).unwrap_or(magic);
             if !MAGIC.starts_with(magic) {
@@ -190,7 +188,7 @@ impl Records {
             let length = extent.end.min(MAX_CHUNK_BYTES + RECORD_HEAD as u64) as usize;
             let is_more = match extent.kind {
                 // Without its lengths.
-                _ if extent.fields == u64::MAX => false,
+                _ if extent.is_endless() => false,
                 kind::CHUNK => self.open_chunk(length)?,
                 kind::DATA_END | kind::FOOTER => {
                     if !self.end(&extent, length)? {
