@@ -5,14 +5,14 @@
 //! cargo run --example safety_stop /dev/ttyACM0 interlock    # Enter permits the restart
 //! ```
 //!
-//! - The **protective field** reaches as far as [`TERMS`] demand: an obstacle at least [`WIDTH`]
-//!   wide in it stops the vehicle within [`Terms::response`], whatever happens to the sensor, its
+//! - The **protective field** reaches as far as `TERMS` demand: an obstacle at least `WIDTH`
+//!   wide in it stops the vehicle within `Terms::response`, whatever happens to the sensor, its
 //!   link or its replies.
 //! - Two of three scans that do not show the field clear stop the vehicle. One does not, but the
-//!   permission to move still ends [`Terms::limit`] after the last scan that did.
+//!   permission to move still ends `Terms::limit` after the last scan that did.
 //! - In the **warning field** in front of it an obstacle slows the vehicle down.
 //! - After a stop, and at the start, the vehicle waits until the protective field was clear for
-//!   [`RESTART`]. With an **interlock** it also waits for a reset, given while the field is clear.
+//!   `RESTART`. With an **interlock** it also waits for a reset, given while the field is clear.
 //!
 //! **This is no safety device.** Neither the sensor, nor this library, nor the operating
 //! system is certified, and a flipped bit on the line can change a distance. An object that
