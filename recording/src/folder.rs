@@ -15,7 +15,8 @@ const MAX_METADATA_BYTES: u64 = 16 << 20;
 
 /// Returns the files of a recording, in order: `path` itself, or if it is a folder, the files that
 /// its `metadata.yaml` lists. Without one, as after a kill, the `.mcap` files in the folder follow each
-/// other by the number at the end of their names.
+/// other by the number at the end of their names. A file that lies beside its compressed form is read in
+/// place of it.
 ///
 /// # Errors
 ///
@@ -37,7 +38,8 @@ pub fn recording_files(path: impl AsRef<Path>) -> Result<Vec<PathBuf>, Recording
     let files = match read {
         Ok(_) => match listed(&text) {
             Some(names) if names.iter().all(|name| is_inside(name)) => {
-                names.into_iter().map(|name| path.join(name)).collect()
+                let files = names.into_iter().map(|name| path.join(name));
+                files.map(|file| decompressed(&file).unwrap_or(file)).collect()
             }
             _ => return no_recording("its metadata.yaml lists no files in it"),
         },
@@ -69,6 +71,13 @@ fn check_format(path: &Path) -> Result<(), RecordingError> {
     Err(RecordingError::OtherFormat { path: path.to_owned(), found })
 }
 
+/// Returns the file beside a compressed one that has its content. `ros2 bag` makes one to read it, and
+/// leaves it there.
+fn decompressed(path: &Path) -> Option<PathBuf> {
+    let is_compressed = path.extension()?.to_string_lossy().to_lowercase().starts_with("zst");
+    Some(path.with_extension("")).filter(|plain| is_compressed && plain.is_file())
+}
+
 /// Returns true for the name of a file in the folder, and not of one elsewhere.
 fn is_inside(name: &str) -> bool {
     let mut parts = Path::new(name).components();
@@ -82,7 +91,7 @@ fn numbered(folder: &Path) -> io::Result<Vec<PathBuf>> {
         let path = entry?.path();
         let ending = path.extension().unwrap_or_default();
         let is_bag = ending.eq_ignore_ascii_case("mcap") || check_format(&path).is_err();
-        if is_bag && path.is_file() {
+        if is_bag && path.is_file() && decompressed(&path).is_none() {
             let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
             let before = stem.trim_end_matches(|c: char| c.is_ascii_digit());
             let number = stem.get(before.len()..).and_then(|digits| digits.parse::<u64>().ok());

@@ -62,7 +62,11 @@ impl LeftOutReason {
             Self::Malformed => {
                 ["message cut short or malformed", "messages cut short or malformed"]
             }
-            Self::Compressed => ["compressed message", "compressed messages"],
+            // Only the description of their bag, in its folder, tells that they are compressed.
+            Self::Compressed => [
+                "message that `rosbags-convert --src FOLDER --dst OTHER --dst-storage mcap` decompresses",
+                "messages that `rosbags-convert --src FOLDER --dst OTHER --dst-storage mcap` decompresses",
+            ],
             Self::Ros1 => ["message of ROS 1", "messages of ROS 1"],
             Self::OtherEncoding => ["message in another encoding", "messages in another encoding"],
             Self::OtherType => ["message of another type", "messages of another type"],

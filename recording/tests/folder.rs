@@ -117,6 +117,30 @@ async fn a_missing_file_is_named() {
     );
 }
 
+/// `ros2 bag play` decompresses file by file, and the description keeps the names of the compressed ones.
+#[tokio::test(start_paused = true)]
+async fn a_decompressed_file_is_read_in_place_of_the_compressed_one() {
+    let folder = Folder::new("decompressed");
+    let (delivered, names) = split(folder.path()).await;
+    let names = names.iter().map(|path| path.file_name().unwrap().to_str().unwrap());
+    let compressed: Vec<String> = names.map(|name| format!("{name}.zstd")).collect();
+    for name in &compressed {
+        fs::write(folder.path().join(name), "").unwrap();
+    }
+    let open = || Recording::open(folder.path());
+    assert_eq!(read(open().unwrap()), (delivered.clone(), false));
+    describe(folder.path(), &compressed.iter().map(String::as_str).collect::<Vec<_>>());
+    assert_eq!(read(open().unwrap()), (delivered, false));
+    fs::remove_file(folder.path().join("run_0002.mcap")).unwrap();
+    let check = |error: RecordingError| {
+        let error = error.to_string();
+        assert!(error.contains("zstd -d") && error.contains("run_0002.mcap.zstd"), "{error}");
+    };
+    check(open().unwrap_err());
+    fs::remove_file(folder.path().join("metadata.yaml")).unwrap();
+    check(open().unwrap_err());
+}
+
 #[test]
 fn files_without_a_description_are_numbered() {
     let folder = Folder::new("numbered");

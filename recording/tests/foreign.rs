@@ -134,3 +134,20 @@ async fn the_scans_of_several_sensors_are_read_by_topic() {
     let error = open().scans().next().unwrap().unwrap_err().to_string();
     assert!(error.ends_with("; choose a topic: /front/scan, /rear/scan"), "{error}");
 }
+
+/// As `ros2 bag record --compression-mode message` writes them.
+#[tokio::test(start_paused = true)]
+async fn compressed_messages_are_named_with_a_remedy() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 5).await;
+    let mut writer = WriteOptions::new().create(Cursor::new(Vec::new())).unwrap();
+    let recorded = sink.bytes();
+    for message in mcap::MessageStream::new(&recorded).unwrap().map(Result::unwrap) {
+        let data = Cow::Owned([&[0x28, 0xb5, 0x2f, 0xfd][..], &message.data].concat());
+        writer.write(&mcap::Message { data, ..message }).unwrap();
+    }
+    writer.finish().unwrap();
+    let mut scans = Recording::read(Cursor::new(writer.into_inner().into_inner())).unwrap().scans();
+    let error = scans.next().unwrap().unwrap_err().to_string();
+    assert!(error.contains("; 13 messages that `rosbags-convert --src FOLDER"), "{error}");
+}
