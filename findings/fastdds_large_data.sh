@@ -1,0 +1,81 @@
+#!/usr/bin/env bash
+# ROS 2 Jazzy with FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA hears only programs that have it, too (rmw_fastrtps_cpp 8.4.3).
+#
+# It is advised for images and point clouds: UDP finds others, then TCP or shared memory carries the data. Expected: on
+# one host it hears any program with Fast DDS, which has shared memory, too, and Cyclone DDS (11.0.1) over UDP. It hears
+# neither: nodes are not listed, topics have no publisher, and no log says why. All packages are from PyPI.
+set -euo pipefail
+cd "$(dirname "$0")"
+python3 - <<'END'
+import os
+import subprocess
+import sys
+
+from place import PLACE, compare, network, run
+
+WRITERS = {
+    "Fast DDS": """
+import rclpy
+from std_msgs.msg import String
+rclpy.init()
+publisher = rclpy.create_node("writer").create_publisher(String, "text", 10)
+def write(): publisher.publish(String(data="hello"))
+""",
+    "Cyclone DDS": """
+from dataclasses import dataclass
+from cyclonedds.core import Policy, Qos
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.pub import DataWriter
+from cyclonedds.topic import Topic
+@dataclass
+class String(IdlStruct, typename="std_msgs::msg::dds_::String_"):
+    data: str
+cdr = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
+qos = Qos(Policy.Reliability.Reliable(10**9), Policy.History.KeepLast(1), cdr)
+participant = DomainParticipant(7)
+writer = DataWriter(participant, Topic(participant, "rt/text", String), qos=qos)
+def write(): writer.write(String("hello"))
+""",
+}
+READER = """
+import os
+import time
+import rclpy
+from std_msgs.msg import String
+rclpy.init()
+node, texts = rclpy.create_node("reader"), []
+node.create_subscription(String, "text", texts.append, 10)
+end = time.monotonic() + 10
+while time.monotonic() < end and not texts:
+    rclpy.spin_once(node, timeout_sec=0.1)
+print(bool(texts), node.count_publishers("text"), flush=True)
+os._exit(0)
+"""
+# Packages of ROS share folders, which `pip --target` cannot do.
+python = PLACE / "venv/bin/python"
+subprocess.run([sys.executable, "-m", "venv", PLACE / "venv"], check=True)
+subprocess.run([python, "-m", "pip", "install", "--quiet", "ros-jazzy-rclpy==7.1.6", "ros-jazzy-std-msgs==5.3.6",
+                "ros-jazzy-rmw-fastrtps-cpp==8.4.3", "cyclonedds==11.0.1"], check=True)
+os.environ.update(ROS_DOMAIN_ID="7", RMW_IMPLEMENTATION="rmw_fastrtps_cpp", ROS_LOG_DIR=str(PLACE))
+network()
+seen = {}
+for writer, transports in [("Fast DDS", "LARGE_DATA"), ("Fast DDS", "DEFAULT"), ("Cyclone DDS", "DEFAULT")]:
+    program = WRITERS[writer] + "\nimport time\nwhile True:\n    write()\n    time.sleep(0.1)\n"
+    process = run(python, "-c", program, env={**os.environ, "FASTDDS_BUILTIN_TRANSPORTS": transports})
+    for own in ["DEFAULT", "LARGE_DATA"]:
+        reader = subprocess.run([python, "-c", READER], stdout=subprocess.PIPE, text=True, check=True,
+                                env={**os.environ, "FASTDDS_BUILTIN_TRANSPORTS": own})
+        hears, publishers = reader.stdout.split()
+        seen[f"{own} of {writer} with {transports}"] = f"hears: {hears}, publishers: {publishers}"
+    process.kill()
+    process.wait()
+compare(seen, {
+    "DEFAULT of Fast DDS with LARGE_DATA": "hears: False, publishers: 0",
+    "LARGE_DATA of Fast DDS with LARGE_DATA": "hears: True, publishers: 1",
+    "DEFAULT of Fast DDS with DEFAULT": "hears: True, publishers: 1",
+    "LARGE_DATA of Fast DDS with DEFAULT": "hears: False, publishers: 0",
+    "DEFAULT of Cyclone DDS with DEFAULT": "hears: True, publishers: 1",
+    "LARGE_DATA of Cyclone DDS with DEFAULT": "hears: False, publishers: 0",
+})
+END
