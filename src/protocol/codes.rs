@@ -11,6 +11,8 @@ pub(super) enum Codes {
     Utm,
     /// 4 and 65533: UST (C-42-04213 p. 4), and as seen UTM on Ethernet (`-EW`).
     Ethernet,
+    /// 65532 to 65535: UAM (Hokuyo's package uam-05lp 0.2.0, of their other protocol).
+    Uam,
     /// None that are known.
     Unknown,
 }
@@ -24,6 +26,7 @@ impl Codes {
                 Self::Utm
             }
             [b'U', b'T', b'M', b'-', ..] | [b'U', b'S', b'T', ..] => Self::Ethernet,
+            [b'U', b'A', b'M', ..] => Self::Uam,
             _ => Self::Unknown,
         }
     }
@@ -49,11 +52,12 @@ impl Codes {
             (Self::Urg, 18) => "strong reflector",
             (Self::Urg, 19) => "step that is not measured",
             (Self::Urg, 3..=17) => "other error",
-            (Self::Utm, 1) | (Self::Ethernet, 65_533) => "nothing in range",
-            (Self::Utm, 2) => "object too near",
+            (Self::Utm, 1) | (Self::Ethernet, 65_533) | (Self::Uam, 65_534) => "nothing in range",
+            (Self::Utm, 2) | (Self::Uam, 65_533) => "object too near",
             (Self::Utm, 3) => "interference",
             (Self::Utm | Self::Ethernet, 4) => "object before the near end of the range",
-            (Self::Utm, 5) => "other error",
+            (Self::Uam, 65_532) => "the laser is off",
+            (Self::Utm, 5) | (Self::Uam, 65_535) => "other error",
             _ => return None,
         })
     }

@@ -124,7 +124,7 @@ impl Geometry {
             Codes::Urg => 0,
             Codes::Utm => 1,
             Codes::Ethernet => 65_533,
-            Codes::Unknown => self.max_distance.saturating_add(1),
+            Codes::Uam | Codes::Unknown => self.max_distance.saturating_add(1),
         }
     }
 
@@ -147,11 +147,6 @@ impl Geometry {
             }
             _ => 2 * (u32::from(self.last_step) + 1),
         }
-    }
-
-    /// Returns true if values have at most 12 bits, as in SCIP 1.1.
-    pub(crate) const fn has_short_values(&self) -> bool {
-        matches!(self.codes, Codes::Scip1)
     }
 
     /// Steps that the sensor answers for. In SCIP 1.1 there are more than it measures.

@@ -43,7 +43,7 @@ impl Measurement {
     /// free space.
     ///
     /// A saturated value is `+Inf`, and so are the error codes 0, 6 and 16 in SCIP 1.1; in SCIP 2 it
-    /// is 0 of a URG, 1 of a UTM-30LX, and 65533 of a UST.
+    /// is 0 of a URG, 1 of a UTM-30LX, 65533 of a UST, and 65534 of a UAM.
     pub fn range(self) -> f32 {
         match self {
             Self::Distance(millimetres) => (f64::from(millimetres) / 1000.0) as f32,
@@ -86,6 +86,7 @@ impl ErrorCode {
                 | (Codes::Urg, 0)
                 | (Codes::Utm, 1)
                 | (Codes::Ethernet, 65_533)
+                | (Codes::Uam, 65_534)
         )
     }
 }

@@ -7,7 +7,7 @@ use tokio::time::Instant;
 use super::values::Values;
 use super::{Scan, ScanMeta};
 use crate::Error;
-use crate::protocol::{Geometry, Window, WindowError};
+use crate::protocol::{Geometry, Protocol, Window, WindowError};
 
 /// Largest value of 12 bits, in SCIP 1.1.
 const MAX_VALUE: u32 = (1 << 12) - 1;
@@ -133,7 +133,7 @@ impl ScanBuilder {
         if let Some(found) = lengths.into_iter().flatten().find(|found| *found != expected) {
             return Err(ScanError::Length { window, expected, found });
         }
-        let is_short = meta.geometry.has_short_values();
+        let is_short = meta.geometry.protocol() == Protocol::Scip1;
         let max = if is_short { MAX_VALUE } else { MAX_LONG_VALUE };
         if let Some((index, &found)) = values.iter().enumerate().find(|(_, value)| **value > max) {
             return Err(ScanError::Value { index, found, max });

@@ -132,6 +132,9 @@ fn each_model_has_its_own_codes() {
         let greatest = *geometry.distances().end();
         check_codes(geometry, &[65_533], &[4, 65_533], greatest);
     }
+    // An object that is too near, 65533, is nothing beyond the range.
+    let uam = geometry("UAM-05LP-T301", [20, 40_000, 1440, 0, 1080, 540, 2000]);
+    check_codes(uam, &[65_534], &[65_532, 65_533, 65_535], 40_000);
     // A distance like any other.
     check_codes(uxm(), &[], &[], 100_000);
     for (geometry, value, text) in [
@@ -143,6 +146,10 @@ fn each_model_has_its_own_codes() {
         (ust(), 1, "error code 1: value below the measurable distances"),
         (ust(), 4, "error code 4: object before the near end of the range"),
         (ust(), 65_533, "error code 65533: nothing in range"),
+        (uam, 65_532, "error code 65532: the laser is off"),
+        (uam, 65_533, "error code 65533: object too near"),
+        (uam, 65_534, "error code 65534: nothing in range"),
+        (uam, 65_535, "error code 65535: other error"),
     ] {
         let Measurement::Error(code) = geometry.measurement(value) else { panic!("{value}") };
         assert_eq!(code.to_string(), text);
