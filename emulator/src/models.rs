@@ -162,6 +162,12 @@ impl Geometry {
             last: *told.steps.end(),
             front: told.front,
             end: *told.steps.end(),
+            // A URG's rear is where it is.
+            turn: if self.turn == self.last + 1 {
+                told.steps.end().saturating_add(1)
+            } else {
+                self.turn
+            },
             nearest: *told.distances.start(),
             farthest: *told.distances.end(),
             ..self
@@ -182,6 +188,7 @@ impl Geometry {
     pub(crate) const fn step(&self) -> (f64, f64) {
         match self.resolution {
             1024 => (0.999_981_175_282_601_1, 0.006_135_884_649_154_475),
+            2880 => (0.999_997_620_177_351_8, 0.002_181_659_834_336_769_7),
             _ => (0.999_990_480_720_734_5, 0.004_363_309_284_746_571),
         }
     }

@@ -2,9 +2,11 @@
 
 use std::time::Duration;
 
+use tokio_scip::protocol::scip2::Parameters;
 use tokio_scip::scan::Pose;
+use tokio_scip::{Sensor, Window};
 use urg_emulator::{
-    Emulator, Fixed, Path, Room, STEPS, Scene, Sparse, Values, Walk, World, WorldTime,
+    Emulator, Fixed, Model, Path, Room, STEPS, Scene, Sparse, Values, Walk, World, WorldTime,
 };
 
 use super::ask;
@@ -202,6 +204,32 @@ fn a_scene_has_its_parts_in_place() {
     assert_eq!(degrees(27.0), 0, "nothing is there");
     assert_eq!((degrees(90.0), degrees(-90.0)), (1500, 2500));
     assert!(degrees(-89.0) < 2510 && degrees(-100.0) == 0);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_of_any_resolution_sees_walls_in_place() {
+    for (resolution, last) in [(1024, 768), (1440, 1080), (2880, 2160)] {
+        let numbers = format!("ARES:{resolution} AMAX:{last} AFRT:{}", last / 2);
+        let told = format!("MODL:UST-10LX DMIN:21 DMAX:30000 AMIN:0 SCAN:2400 {numbers}");
+        let pairs = told.split(' ').filter_map(|pair| pair.split_once(':'));
+        let parameters = Parameters::from_pairs(pairs).unwrap();
+        let mut room = Scene::new(0).without_noise().rectangle((-2.0, -1.5), (3.0, 1.0));
+        let world = move |time: WorldTime, values: &mut Values| {
+            assert_eq!(time.at_step(last + 1), time.at);
+            assert_eq!(time.at - time.at_step(last / 2 + 1), time.period * 3 / 8);
+            room.measure(time, values);
+        };
+        let emulator =
+            Emulator::builder().model(Model::Ust10lx).parameters(parameters).world(world);
+        let sensor = Sensor::builder().connect(emulator.build()).await.unwrap();
+        let scan = sensor.scan(Window::DETECTION).await.unwrap();
+        assert_eq!(scan.points().count(), last + 1);
+        for point in scan.points() {
+            let [x, y] = [point.x, point.y];
+            let away = [x + 2.0, x - 3.0, y + 1.5, y - 1.0].map(f32::abs);
+            assert!(away.into_iter().any(|away| away < 0.002), "{resolution}: {x} {y}");
+        }
+    }
 }
 
 #[test]
