@@ -192,6 +192,29 @@ async fn a_stream_of_another_program_is_stopped() {
     }
 }
 
+/// A program that was ended while it read the sensor's clock, or that sent it to sleep.
+#[tokio::test(start_paused = true)]
+async fn a_sensor_that_was_left_in_another_state_is_measured() {
+    for (model, left) in [
+        (Model::Urg04lx, "SCIP2.0\nTM0\n"),
+        (Model::Urg04lxUg01, "TM0\n"),
+        (Model::Utm30lx, "TM0\n"),
+        (Model::Ust10lx, "TM0\n"),
+        (Model::Ust10lx, "%SL\n"),
+    ] {
+        let emulator = numbered(model).firmware(Firmware::V31).build();
+        let mut link = emulator.link();
+        for line in left.split_inclusive('\n') {
+            link.write_all(line.as_bytes()).await.unwrap();
+            tokio::time::sleep(std::time::Duration::from_secs(1)).await;
+        }
+        drop(link);
+        let sensor = builder().connect(emulator.clone()).await.unwrap();
+        revolution(&sensor.scan(Window::DETECTION).await.unwrap());
+        assert_eq!(sensor.stats().timeouts, 0, "{model:?} {left:?}");
+    }
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_urg_in_scip_2_changes_its_baud_rate() {
     let emulator = numbered(Model::Urg04lx).firmware(Firmware::V31);

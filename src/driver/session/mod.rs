@@ -40,7 +40,7 @@ use super::observers::ReplyObservers;
 use super::rarely::rarely;
 use super::transport::{ReplyTimes, Transport};
 use crate::port::Port;
-use crate::protocol::scip2::{State, Status};
+use crate::protocol::scip2::{Command as Scip2Command, Request, State, Status};
 use crate::protocol::{Command, Protocol, Text};
 use crate::scan::Values;
 use crate::state::{Shared, VersionReply};
@@ -354,7 +354,10 @@ impl Session {
 
     fn baud_rate_not_confirmed(&self, baud_rate: BaudRate, status: Option<Text>) -> ErrorKind {
         match &self.scip2 {
-            Some(_) => not_confirmed(&scip2::baud_rate_request(baud_rate), status, None),
+            Some(_) => {
+                let request = Request::new(Scip2Command::BaudRate(baud_rate), None);
+                not_confirmed(&request, status, None)
+            }
             None => not_confirmed(&Command::BaudRate(baud_rate), status, None),
         }
     }

@@ -114,19 +114,9 @@ fn acquired(scan: Scan, times: ReplyTimes) -> Acquired {
     Acquired { values, first: 0, told: told.map(Box::new), times }
 }
 
-/// Returns true if a refusal to measure says that the laser is off (p. 13).
-fn is_laser_off(status: Status) -> bool {
-    status.characters() == *b"10"
-}
-
 /// Returns true if a reply had the status of SCIP 1.1.
 fn is_in_scip1(error: &ErrorKind) -> bool {
     matches!(error, ErrorKind::Malformed { source: MalformedError::Status { .. }, .. })
-}
-
-/// Creates a request to change the baud rate, without a label.
-pub(super) fn baud_rate_request(baud_rate: BaudRate) -> Request {
-    Request::new(Command::BaudRate(baud_rate), None)
 }
 
 impl Scip2<'_> {
@@ -173,20 +163,19 @@ impl Scip2<'_> {
     /// Stops a stream of scans that another program may have left. The laser is off then, as after
     /// power-up.
     pub(super) async fn stop(&mut self) -> Result<(), ExchangeError> {
-        let mut failure = None;
+        let mut failure = ErrorKind::disconnected(None);
         for _ in 0..PROBES_AT_A_BAUD_RATE {
             let request = Request::new(Command::LaserOff, self.state.next_label());
             match self.ask(&request).await {
                 Ok(_) => return Ok(()),
-                Err(ExchangeError::Command(error)) => failure = Some(error),
+                Err(ExchangeError::Command(error)) => failure = error,
                 Err(lost) => return Err(lost),
             }
             if self.line.is_closing() {
                 break;
             }
         }
-        let silent = failure.unwrap_or_else(|| ErrorKind::disconnected(None));
-        Err(LinkError::Silent(silent).into())
+        Err(LinkError::Silent(failure).into())
     }
 
     /// Stops a stream that the sensor may send unknown to this session. The laser stays as it was set.
@@ -208,9 +197,16 @@ impl Scip2<'_> {
         }
     }
 
-    /// Reads what the sensor measures.
+    /// Reads what the sensor measures. In clock mode, where a program that ended may have left it, it
+    /// refuses to tell (p. 15).
     pub(super) async fn parameters(&mut self) -> Result<ParametersReply, ExchangeError> {
-        let answer = self.ask_twice(Command::Parameters).await?;
+        let mut answer = self.ask_twice(Command::Parameters).await;
+        if matches!(&answer, Err(ExchangeError::Command(ErrorKind::Refused { .. })))
+            && self.ask_twice(Command::LeaveClockMode).await.is_ok()
+        {
+            answer = self.ask_twice(Command::Parameters).await;
+        }
+        let answer = answer?;
         let frame = answer.known_frame();
         let Content::Parameters(parameters) = answer.content else {
             return Err(self.no_data(Command::Parameters));
@@ -300,13 +296,14 @@ impl Scip2<'_> {
         };
         let request = Request::new(command, None);
         let mut probe = self.probe().await.map_err(on_behalf_of(request))?;
-        // Any other refusal tells nothing of the laser, and may pass.
-        if !probe.is_ok() && !is_laser_off(probe) && !self.line.is_closing() {
+        let is_off = |probe: Status| probe.characters() == *b"10";
+        // Any refusal but `10` tells nothing of the laser (p. 13), and may pass.
+        if !probe.is_ok() && !is_off(probe) && !self.line.is_closing() {
             probe = self.probe().await.map_err(on_behalf_of(request))?;
         }
         Err(ExchangeError::Command(match probe.is_ok() {
             true if on => return Ok(()),
-            false if !on && is_laser_off(probe) => return Ok(()),
+            false if !on && is_off(probe) => return Ok(()),
             false if !on => refusal(&self.one_step(), probe),
             _ => not_confirmed(&request, status, on.then(|| text(probe))),
         }))
