@@ -15,7 +15,7 @@ pub(super) fn version(body: &Body) -> Vec<Vec<u8>> {
         Model::Urg04lxUg01 => (
             "Co.,Ltd.",
             "SOKUIKI Sensor URG-04LX-UG01(Simple-URG)",
-            "3.3.01(16/Apr./2008)",
+            "3.4.03(17/Dec./2012)",
             "SCIP 2.0",
         ),
         Model::Utm30lx => ("Co.,Ltd.", "SOKUIKI Sensor UTM-30LX", "P.1.05", "SCIP 2.0"),
@@ -35,7 +35,7 @@ pub(super) fn version(body: &Body) -> Vec<Vec<u8>> {
 fn model(model: Model) -> &'static str {
     match model {
         Model::Urg04lx => "MODL:URG-04LX(Hokuyo Automatic Co.,Ltd.)",
-        Model::Urg04lxUg01 => "MODL:URG-04LX-UG01(Simple-URG)",
+        Model::Urg04lxUg01 => "MODL:URG-04LX-UG01(Simple-URG)(Hokuyo Automatic Co.,Ltd.)",
         Model::Utm30lx => "MODL:UTM-30LX(Hokuyo Automatic Co.,Ltd.)",
         Model::Ust10lx => "MODL:UST-10LX",
     }
@@ -72,15 +72,16 @@ pub(super) fn state(body: &Body, milliseconds: u64, characters: [u8; 4]) -> Vec<
         (rpm.to_string(), line, characters.to_vec(), "sensor is working normally")
     } else {
         let line = match (body.model, body.baud_rate) {
-            (Model::Urg04lx, rate) => format!("{}[bps]{by_user}", rate.map_or(19_200, u32::from)),
-            _ => "USB only".to_owned(),
+            (Model::Utm30lx, _) => "USB only".to_owned(),
+            (_, rate) => format!("{}[bps]{by_user}", rate.map_or(19_200, u32::from)),
         };
         let time = format!("{milliseconds:06X}").into_bytes();
         (format!("Initial({rpm}[rpm]){by_user}"), line, time, "Sensor works well.")
     };
     let measuring = match body.model {
         Model::Ust10lx => "Measuring by Sensitive Mode",
-        // Seen on a URG-04LX.
+        // Seen on a URG-04LX-UG01 and a URG-04LX.
+        Model::Urg04lxUg01 if body.is_laser_on => "Measuring by Normal Mode",
         _ if body.is_laser_on => "CLASSIC",
         _ => "IDLE",
     };

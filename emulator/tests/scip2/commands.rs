@@ -107,6 +107,22 @@ async fn a_utm_says_what_it_is() {
     assert_eq!(emulator.baud_rate(), None);
 }
 
+/// What real ones sent, except for the serial number.
+#[tokio::test(start_paused = true)]
+async fn a_ug01_says_what_it_is() {
+    let mut link = sensor(Model::Urg04lxUg01).laser(true).build().link();
+    let version = "VV\n00P\nVEND:Hokuyo Automatic Co.,Ltd.;[\n\
+        PROD:SOKUIKI Sensor URG-04LX-UG01(Simple-URG);[\nFIRM:3.4.03(17/Dec./2012);T\n\
+        PROT:SCIP 2.0;N\nSERI:H0000001;6\n\n";
+    assert_eq!(ask(&mut link, "VV").await, version);
+    let parameters = ask(&mut link, "PP").await;
+    let model = "MODL:URG-04LX-UG01(Simple-URG)(Hokuyo Automatic Co.,Ltd.);";
+    assert!(parameters.contains(model), "{parameters}");
+    let state = ask(&mut link, "II").await;
+    assert!(state.contains("MESM:Measuring by Normal Mode;"), "{state}");
+    assert!(state.contains("SBPS:19200[bps]<-Default setting by user;A"), "{state}");
+}
+
 #[tokio::test(start_paused = true)]
 async fn each_model_answers_with_its_status() {
     use Model::{Urg04lx as Urg, Urg04lxUg01 as Ug01, Ust10lx as Ust, Utm30lx as Utm};

@@ -120,7 +120,12 @@ async fn every_window_and_cluster_is_read_as_measured() {
 async fn the_driver_reads_what_each_model_says() {
     for (model, name, steps, distances) in [
         (Model::Urg04lx, "URG-04LX(Hokuyo Automatic Co.,Ltd.)", 44..=725, 20..=5600),
-        (Model::Urg04lxUg01, "URG-04LX-UG01(Simple-URG)", 44..=725, 20..=5600),
+        (
+            Model::Urg04lxUg01,
+            "URG-04LX-UG01(Simple-URG)(Hokuyo Automatic Co.,Ltd.)",
+            44..=725,
+            20..=5600,
+        ),
         (Model::Utm30lx, "UTM-30LX(Hokuyo Automatic Co.,Ltd.)", 0..=1080, 23..=60_000),
         (Model::Ust10lx, "UST-10LX", 0..=1080, 20..=30_000),
     ] {
