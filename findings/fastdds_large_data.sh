@@ -70,6 +70,8 @@ for writer, transports in [("Fast DDS", "LARGE_DATA"), ("Fast DDS", "DEFAULT"), 
         seen[f"{own} of {writer} with {transports}"] = f"hears: {hears}, publishers: {publishers}"
     process.kill()
     process.wait()
+# Removes what killed programs have left in shared memory.
+subprocess.run([PLACE / "venv/bin/fastdds", "shm", "clean"], stdout=subprocess.DEVNULL, check=True)
 compare(seen, {
     "DEFAULT of Fast DDS with LARGE_DATA": "hears: False, publishers: 0",
     "LARGE_DATA of Fast DDS with LARGE_DATA": "hears: True, publishers: 1",
