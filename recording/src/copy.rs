@@ -9,9 +9,7 @@ use std::time::Duration;
 
 use super::RecordingError;
 use super::latched::{Latched, LatchedMessage, LatchedTopic};
-use super::mcap::{
-    Compression, Input, McapWriter, MessageHeader, Records, header, kind, parse_metadata,
-};
+use super::mcap::{Compression, McapWriter, MessageHeader, Records, header, kind, parse_metadata};
 use super::messages::{lost_schema, parse, time};
 use super::polls::StreamPolls;
 use super::range::TimeRange;
@@ -117,8 +115,8 @@ pub fn cut<R: Read + Send + 'static>(
 ) -> Result<Copied, RecordingError> {
     compression.unwrap_or_default().check()?;
     let mut outcome = Copied::default();
-    let mut sources: Vec<Source> =
-        inputs.into_iter().map(|input| Source::new(Input::new(input))).collect();
+    let source = |input| Source { records: Records::new(input), ..Source::default() };
+    let mut sources: Vec<Source> = inputs.into_iter().map(source).collect();
     let mut queue = BinaryHeap::new();
     // Before anything is written, each input is known to be a recording.
     for (number, source) in sources.iter_mut().enumerate() {
@@ -136,14 +134,13 @@ pub fn cut<R: Read + Send + 'static>(
         range: TimeRange::new(&range),
         identity: BTreeMap::new(),
         latched: Latched::default(),
-        metadata: None,
         chunk_began: None,
         polls: StreamPolls::default(),
         outcome,
     };
     while let Some(Reverse((_, number))) = queue.pop() {
         let Some(source) = sources.get_mut(number) else { continue };
-        copy.step(number, source).map_err(RecordingError::write)?;
+        copy.step(source).map_err(RecordingError::write)?;
         if source.is_over {
             // The channels and schemas that have no message in the copy.
             if !source.records.definitions().write_rest(lost_schema, &mut copy.writer) {
@@ -190,10 +187,6 @@ struct Source {
 }
 
 impl Source {
-    fn new(input: Input) -> Self {
-        Self { records: Records::new(input), ..Self::default() }
-    }
-
     /// Reads up to the next message.
     fn advance(&mut self, outcome: &mut Copied) -> Result<(), RecordingError> {
         let mut metadata_bytes = 0;
@@ -241,12 +234,10 @@ struct Copy<W> {
     writer: McapWriter<W>,
     keeps_compression: bool,
     range: TimeRange,
-    /// Latest successful replies that identify the sensor, and the numbers of their sources.
-    identity: BTreeMap<ReplyKind, (usize, MessageHeader, Vec<u8>)>,
+    /// Latest successful replies that identify the sensor.
+    identity: BTreeMap<ReplyKind, (MessageHeader, Vec<u8>)>,
     /// Latched messages before the part, until it begins.
     latched: Latched,
-    /// Latest metadata of a recording, and its source: each file of a split recording repeats it.
-    metadata: Option<(usize, Vec<u8>)>,
     /// Time of the first message in the open chunk, once the part has begun.
     chunk_began: Option<u64>,
     /// Counts the scans as a reader of the copy does.
@@ -256,14 +247,10 @@ struct Copy<W> {
 
 impl<W: Write> Copy<W> {
     /// Copies the metadata and the message that a source has read, if they belong to the part.
-    fn step(&mut self, number: usize, source: &mut Source) -> std::io::Result<()> {
+    fn step(&mut self, source: &mut Source) -> std::io::Result<()> {
         for content in std::mem::take(&mut source.metadata) {
             let Some((name, _)) = parse_metadata(&content) else { continue };
             if let Some(metadata) = parse_sensor_metadata(&content) {
-                let known = self.metadata.as_ref().filter(|(source, _)| *source != number);
-                if known.is_some_and(|(_, known)| *known == content) {
-                    continue;
-                }
                 let stream = Stream::from_metadata(&metadata);
                 if stream.as_ref().is_some_and(|stream| stream.model.0.is_some()) {
                     // Otherwise it would follow the metadata in the copy, and count as the later one.
@@ -272,7 +259,6 @@ impl<W: Write> Copy<W> {
                 self.polls.describe(stream);
                 // Of the first description, whatever follows.
                 self.count_scans(false);
-                self.metadata = Some((number, content.clone()));
             }
             self.writer.metadata(name, &content)?;
         }
@@ -295,8 +281,8 @@ impl<W: Write> Copy<W> {
         });
         let known = identity.and_then(|kind| self.identity.get(&kind));
         // Each file of a split recording begins with them.
-        if known.is_some_and(|(source, known, bytes)| {
-            *source != number && known.publish_time == header.publish_time && bytes == data
+        if known.is_some_and(|(known, bytes)| {
+            known.publish_time == header.publish_time && bytes == data
         }) {
             return Ok(());
         }
@@ -321,7 +307,7 @@ impl<W: Write> Copy<W> {
             return Ok(());
         }
         if let Some(kind) = identity {
-            self.identity.insert(kind, (number, header, data.to_vec()));
+            self.identity.insert(kind, (header, data.to_vec()));
             if !is_inside {
                 record.into_iter().for_each(|record| self.polls.add(record));
                 return Ok(());
@@ -330,8 +316,7 @@ impl<W: Write> Copy<W> {
         if self.chunk_began.is_none() {
             let log_time = header.log_time;
             let known = std::mem::take(&mut self.identity);
-            for (_, (_, header, data)) in known.iter().filter(|(kind, _)| Some(**kind) != identity)
-            {
+            for (_, (header, data)) in known.iter().filter(|(kind, _)| Some(**kind) != identity) {
                 self.message(MessageHeader { log_time, ..*header }, data, None)?;
             }
             self.identity = known;

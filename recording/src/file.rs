@@ -15,19 +15,14 @@ use super::sync::Syncer;
 /// record into it. Dropping the value removes a file that it created.
 #[derive(Debug)]
 pub struct RecordingFile {
-    path: OpenedPath,
+    path: PathBuf,
+    /// True until it is recorded into, if it is new.
+    is_unused: bool,
     /// Path of the recording's first file.
     first: PathBuf,
     file: File,
     /// True unless it is a pipe or a device.
     is_regular: bool,
-}
-
-/// Path of a file, which is removed on drop if it is new and unused.
-#[derive(Debug)]
-struct OpenedPath {
-    path: PathBuf,
-    is_unused: bool,
 }
 
 impl RecordingFile {
@@ -64,8 +59,7 @@ impl RecordingFile {
         let opened = opened.and_then(|file| Ok((file.metadata()?.is_file(), file)));
         match opened {
             Ok((is_regular, file)) if !is_regular || lock(&file) => {
-                let path = OpenedPath { path, is_unused };
-                Ok(Self { path, first, file, is_regular })
+                Ok(Self { path, is_unused, first, file, is_regular })
             }
             Err(error) if !is_locked_elsewhere(&error) => Err(RecordingError::open(path)(error)),
             _ => Err(RecordingError::Busy { path }),
@@ -74,7 +68,7 @@ impl RecordingFile {
 
     /// Path of the file.
     pub fn path(&self) -> &Path {
-        &self.path.path
+        &self.path
     }
 
     /// Path of the recording's first file, or `None` for a pipe or a device, which no further files
@@ -92,15 +86,15 @@ impl RecordingFile {
     }
 
     /// Empties the file, and has it synced from now on.
-    pub(super) fn begin(self, syncer: Option<Syncer>) -> io::Result<Box<dyn Write + Send>> {
-        let Self { path: mut opened, file, is_regular, .. } = self;
-        opened.is_unused = false;
-        let syncer = syncer.filter(|_| is_regular);
-        if is_regular {
-            file.set_len(0)?;
+    pub(super) fn begin(mut self, syncer: Option<Syncer>) -> io::Result<Box<dyn Write + Send>> {
+        self.is_unused = false;
+        let file = self.file.try_clone()?;
+        if !self.is_regular {
+            return Ok(Box::new(file));
         }
+        file.set_len(0)?;
         if let Some(syncer) = &syncer {
-            let (mut is_new, path, file) = (true, opened.path.clone(), file.try_clone()?);
+            let (mut is_new, path, file) = (true, self.path.clone(), file.try_clone()?);
             syncer.begin(Box::new(move || {
                 if std::mem::take(&mut is_new) {
                     sync_folder(&path);
@@ -108,11 +102,11 @@ impl RecordingFile {
                 file.sync_data()
             }));
         }
-        Ok(Box::new(FileWriter { file, is_regular, length: 0, syncer }))
+        Ok(Box::new(FileWriter { file, length: 0, syncer }))
     }
 }
 
-impl Drop for OpenedPath {
+impl Drop for RecordingFile {
     fn drop(&mut self) {
         if self.is_unused {
             // An empty file does no harm: the next recording uses it.
@@ -135,11 +129,10 @@ fn check(file: &File, length: u64) -> io::Result<()> {
     Ok(())
 }
 
-/// Writes a [`RecordingFile`]. Bytes that a regular file has no room for because it may not grow (EFBIG)
-/// are not written in part.
+/// Writes a regular [`RecordingFile`]. Bytes that it has no room for because it may not grow (EFBIG) are
+/// not written in part.
 struct FileWriter {
     file: File,
-    is_regular: bool,
     /// Length of the file if no other program writes to it.
     length: u64,
     /// `None` if it is not synced.
@@ -148,9 +141,6 @@ struct FileWriter {
 
 impl Write for FileWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if !self.is_regular {
-            return self.file.write(bytes);
-        }
         check(&self.file, self.length)?;
         match self.file.write_all(bytes) {
             // Until here: the rest of `bytes` continues in a further file.
@@ -174,9 +164,7 @@ impl Write for FileWriter {
 /// old part, which may be removed.
 impl Drop for FileWriter {
     fn drop(&mut self) {
-        if self.is_regular {
-            unlock(&self.file);
-        }
+        unlock(&self.file);
     }
 }
 

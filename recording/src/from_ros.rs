@@ -16,10 +16,9 @@ const TOLERANCE: f64 = 0.01;
 /// Largest difference of a limit of the ranges from the sensor's, in millimetres. This crate writes
 /// limits that are a millimetre farther, other programs the sensor's own.
 const LIMIT_TOLERANCE: f64 = 1.5;
-/// Steps in a revolution of most sensors of Hokuyo.
-const RESOLUTIONS: [u16; 2] = [1024, 1440];
-/// Steps of a UST-10LX-H01 or -H02. Every second one is a step of a UST, too.
-const FINE_RESOLUTIONS: [u16; 1] = [2880];
+/// Steps in a revolution of the sensors of Hokuyo: the last of a UST-10LX-H01 or -H02, whose every
+/// second step is one of a UST, too.
+const RESOLUTIONS: [u16; 3] = [1024, 1440, 2880];
 /// Largest distance of 18 bits, in millimetres.
 const LONGEST: f64 = 262_143.0;
 /// Motors turn once in 25 to 200 ms. A time beyond these limits is in another unit, or is none.
@@ -47,24 +46,13 @@ impl MessageScan {
         known: impl IntoIterator<Item = Stream>,
     ) -> Option<Self> {
         let known = known.into_iter().filter(|stream| has_limits(message, &stream.model));
-        let found = |mut streams: Vec<Stream>| {
-            let place = streams.iter().position(|stream| error(message, stream).is_some())?;
-            Some(streams.swap_remove(place))
-        };
-        let assumed = |resolutions: &[u16]| {
-            let assumed = resolutions.iter().filter_map(|resolution| {
-                let model = assumed(message, *resolution)?;
-                let windows = [by_definition(message, &model), by_steps(message, &model)];
-                let stream = |window| Stream { model: model.clone(), window };
-                found(windows.into_iter().flatten().map(stream).collect())
-            });
-            // Clusters of one are nearly as wide as other clusters of another.
-            let error = |stream: &Stream| error(message, stream).unwrap_or(f64::INFINITY);
-            assumed.min_by(|one, other| error(one).total_cmp(&error(other)))
-        };
-        let stream = found(known.collect())
-            .or_else(|| assumed(&RESOLUTIONS))
-            .or_else(|| assumed(&FINE_RESOLUTIONS))?;
+        let assumed = RESOLUTIONS.into_iter().filter_map(|resolution| assumed(message, resolution));
+        let assumed = assumed.flat_map(|model| {
+            let windows = [by_definition(message, &model), by_steps(message, &model)];
+            let stream = move |window| Stream { model: model.clone(), window };
+            windows.into_iter().flatten().map(stream)
+        });
+        let stream = known.chain(assumed).find(|stream| is_of(message, stream))?;
         let geometry = stream.model.geometry();
         let distances: Vec<u32> =
             message.ranges.iter().map(|range| value(*range, &geometry)).collect();
@@ -151,16 +139,14 @@ fn ends(window: &Window) -> [[f64; 2]; 2] {
     [[middle, last], [first, f64::from(window.end())]]
 }
 
-/// Compares the directions of a message with those of a stream. Returns the rounding error in steps, or
-/// `None` if it is too large for the same directions.
-fn error(message: &LaserScan, Stream { model, window, .. }: &Stream) -> Option<f64> {
+/// Returns true if a message has the directions of a stream, but for rounding errors.
+fn is_of(message: &LaserScan, Stream { model, window }: &Stream) -> bool {
     let geometry = model.geometry();
     let [first, last] = [message.angle_min, message.angle_max].map(|angle| step(angle, &geometry));
     let by = steps(message.angle_increment, &geometry) - f64::from(window.cluster_count());
-    // Sums, because `max` of a number and NaN is the number.
-    let errors = ends(window).map(|[ours, end]| (ours - first).abs() + (end - last).abs());
-    let error = by.abs() + errors.into_iter().fold(f64::INFINITY, f64::min);
-    (window.points() == message.ranges.len() && error < TOLERANCE).then_some(error)
+    let is_near =
+        |[ours, end]: [f64; 2]| by.abs() + (ours - first).abs() + (end - last).abs() < TOLERANCE;
+    window.points() == message.ranges.len() && ends(window).into_iter().any(is_near)
 }
 
 /// Window whose first point has the direction of `angle_min`, if there is one. Its last point has

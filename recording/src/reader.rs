@@ -12,7 +12,7 @@ use std::time::{Duration, SystemTime};
 
 use super::folder::recording_files;
 use super::left_out::{LeftOutCounter, LeftOutReason};
-use super::mcap::{ChunkBytes, Input, Records, kind, parse_metadata};
+use super::mcap::{ChunkBytes, Records, kind, parse_metadata};
 use super::messages::{self, Unread};
 use super::range::TimeRange;
 use super::record::{Entry, Record};
@@ -93,10 +93,13 @@ impl Recording {
     ///
     /// The same as for [`open`](Self::open).
     pub fn read(input: impl Read + Send + 'static) -> Result<Self, RecordingError> {
-        Self::from_input(Input::new(input), VecDeque::new())
+        Self::from_input(input, VecDeque::new())
     }
 
-    fn from_input(input: Input, further: VecDeque<PathBuf>) -> Result<Self, RecordingError> {
+    fn from_input(
+        input: impl Read + Send + 'static,
+        further: VecDeque<PathBuf>,
+    ) -> Result<Self, RecordingError> {
         let mut recording = Self {
             records: Records::new(input),
             further,
@@ -316,8 +319,8 @@ impl Recording {
     }
 }
 
-fn open(path: PathBuf) -> Result<Input, RecordingError> {
-    File::open(&path).map(Input::new).map_err(RecordingError::open(path))
+fn open(path: PathBuf) -> Result<File, RecordingError> {
+    File::open(&path).map_err(RecordingError::open(path))
 }
 
 /// Part of a file that is read one by one.

@@ -226,11 +226,10 @@ impl Writer {
         let records = self.mcap.take_records();
         self.parts.stay_below(self.mcap.written());
         let began = self.chunk_began.map(|(began, _)| began).or(self.part.began);
-        let Part { reply, after_scan, .. } = self.part;
         self.start_next_part(began.unwrap_or_default())?;
         // The chunk may have events.
         declare(&mut self.mcap, Topic::Events);
-        self.part = Part { began, reply, after_scan, ..Part::default() };
+        self.part.began = began;
         self.mcap.add_messages(&records)
     }
 

@@ -80,7 +80,8 @@ async fn scans_played_and_recorded_again_are_read_once() {
     let models = [Model::Urg04lx, Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx];
     for (model, swaps) in models.into_iter().flat_map(|model| [(model, false), (model, true)]) {
         let sink = Sink::new();
-        record(sink::model(model), &sink, Window::DETECTION, 20).await;
+        // More than are searched for their window.
+        record(sink::model(model), &sink, sink::window(300, 320, 1), 300).await;
         let recorded = sink.bytes();
         let mut messages: Vec<_> =
             mcap::MessageStream::new(&recorded).unwrap().map(Result::unwrap).collect();

@@ -6,9 +6,9 @@
 
 mod compression;
 mod definitions;
+mod file_index;
 mod form;
 mod index;
-mod input;
 mod read;
 mod window;
 mod write;
@@ -18,7 +18,6 @@ use std::time::Duration;
 pub use self::compression::{ChunkBytes, Compression};
 pub(super) use self::definitions::{Channel, Definitions};
 pub(super) use self::form::parse_metadata;
-pub(super) use self::input::Input;
 pub(super) use self::read::Records;
 pub(super) use self::write::{McapWriter, channel, header, metadata, schema};
 

@@ -1,21 +1,23 @@
 //! [`Window`]: the bytes of a file around the position of its reader.
 
-use std::io;
+use std::any::Any;
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::Range;
 
 use crc32fast::Hasher;
 
 use super::form::{After, Extent, Kinds, begins, is_shown, measure};
-use super::input::Input;
 use crate::RecordingError;
 
 /// Number of bytes to read at once.
 pub(super) const READ_BYTES: usize = 64 << 10;
 
 /// Part of a file that is in memory: from the reader's position on.
-#[derive(Default)]
 pub(super) struct Window {
-    pub(super) input: Input,
+    input: Box<dyn Read + Send>,
+    /// The same file, unless it can only be read forwards.
+    pub(super) file: Option<File>,
     /// Room for one read.
     buffer: Vec<u8>,
     /// Bytes of the file, used up to `start`.
@@ -27,10 +29,19 @@ pub(super) struct Window {
     pub(super) checksum: Option<Hasher>,
 }
 
+impl Default for Window {
+    fn default() -> Self {
+        Self::new(io::empty())
+    }
+}
+
 impl Window {
-    pub(super) fn new(input: Input) -> Self {
-        let checksum = Some(Hasher::new());
-        Self { input, buffer: vec![0; READ_BYTES], checksum, ..Self::default() }
+    /// Knows a file by its type.
+    pub(super) fn new(input: impl Read + Send + 'static) -> Self {
+        let file = (&input as &dyn Any).downcast_ref::<File>();
+        let file = file.and_then(|file| file.try_clone().ok());
+        let (input, checksum) = (Box::new(input), Some(Hasher::new()));
+        Self { input, file, buffer: Vec::new(), bytes: Vec::new(), start: 0, offset: 0, checksum }
     }
 
     /// Reads ahead: at least `count` bytes, unless the file has fewer.
@@ -47,8 +58,9 @@ impl Window {
 
     /// Reads up to [`READ_BYTES`]. Returns false at the end of the input.
     fn read_more(&mut self) -> io::Result<bool> {
+        self.buffer.resize(READ_BYTES, 0);
         let read = loop {
-            match self.input.bytes.read(&mut self.buffer) {
+            match self.input.read(&mut self.buffer) {
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 outcome => break outcome?,
             }
@@ -88,7 +100,8 @@ impl Window {
 
     /// Continues at this position of the file.
     pub(super) fn continue_at(&mut self, place: u64) -> Result<(), RecordingError> {
-        self.input.continue_at(place).map_err(RecordingError::read)?;
+        let file = self.file.as_mut().ok_or(io::ErrorKind::NotSeekable.into());
+        file.and_then(|file| file.seek(SeekFrom::Start(place))).map_err(RecordingError::read)?;
         self.bytes.clear();
         (self.start, self.offset, self.checksum) = (0, place, None);
         Ok(())

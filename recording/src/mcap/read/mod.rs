@@ -9,16 +9,18 @@ mod chunk;
 mod end;
 
 use std::collections::VecDeque;
+use std::fs::File;
+use std::io::Read;
 use std::ops::{Range, RangeInclusive};
 
 use self::chunk::ChunkRecords;
+use super::file_index::{parts_outside, read_index};
 use super::form::{
     Extent, Kinds, is_known, is_message_index, is_well_formed, next_start, outside_chunks,
     records_of,
 };
-use super::input::parts_outside;
 use super::window::Window;
-use super::{ChunkBytes, Definitions, Fields, Input, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
+use super::{ChunkBytes, Definitions, Fields, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
 use crate::RecordingError;
 
 /// Reason for damage.
@@ -64,14 +66,15 @@ pub(crate) struct Records {
 }
 
 impl Records {
-    pub(crate) fn new(input: Input) -> Self {
+    /// Reads any input. If it is a [`File`], its index is read, too.
+    pub(crate) fn new(input: impl Read + Send + 'static) -> Self {
         Self { window: Window::new(input), ..Self::default() }
     }
 
     /// Continues in the next file of a recording.
-    pub(crate) fn continue_in(&mut self, input: Input) {
+    pub(crate) fn continue_in(&mut self, file: File) {
         let chunk_bytes = std::mem::take(&mut self.chunk_bytes);
-        *self = Self { chunk_bytes, is_truncated: self.is_truncated, ..Self::new(input) };
+        *self = Self { chunk_bytes, is_truncated: self.is_truncated, ..Self::new(file) };
     }
 
     /// Returns true if a whole file was read and its end is missing.
@@ -101,7 +104,7 @@ impl Records {
     /// Reads the index at the end of the file, which is empty if the file has none, and its definitions:
     /// the chunks with them may be damaged or left out.
     fn read_index(&mut self) -> Result<Vec<u8>, RecordingError> {
-        let index = self.window.input.index();
+        let index = self.window.file.as_mut().map_or(Ok(Vec::new()), read_index);
         self.is_over |= index.is_err();
         let index = index.map_err(RecordingError::read)?;
         self.has_index = true;

@@ -1,7 +1,6 @@
-//! [`Input`]: the bytes of a recording. In a file with a complete index, later parts can be
-//! read without the parts before them.
+//! The index at the end of a file. With a complete one, later parts can be read without the parts before
+//! them.
 
-use std::any::Any;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::{Range, RangeInclusive};
@@ -9,43 +8,14 @@ use std::ops::{Range, RangeInclusive};
 use super::form::records_of;
 use super::{FILE_END, FOOTER_BYTES, Fields, MAX_INDEX_BYTES, RECORD_HEAD, kind};
 
-/// Bytes of a recording, in order.
-pub(crate) struct Input {
-    pub(super) bytes: Box<dyn Read + Send>,
-    /// The same file, unless it can only be read forwards.
-    file: Option<File>,
-}
-
-impl Default for Input {
-    fn default() -> Self {
-        Self::new(io::empty())
-    }
-}
-
-impl Input {
-    /// Knows a file by its type.
-    pub(crate) fn new(input: impl Read + Send + 'static) -> Self {
-        let file = (&input as &dyn Any).downcast_ref::<File>();
-        let file = file.and_then(|file| file.try_clone().ok());
-        Self { bytes: Box::new(input), file }
-    }
-
-    /// Continues at this position of the file.
-    pub(super) fn continue_at(&mut self, place: u64) -> io::Result<()> {
-        let file = self.file.as_mut().ok_or(io::ErrorKind::NotSeekable)?;
-        file.seek(SeekFrom::Start(place)).map(drop)
-    }
-
-    /// Reads the records of the index at the end of the file. Returns none if the index is incomplete,
-    /// or if this is not a file. Reading then continues where it was.
-    pub(super) fn index(&mut self) -> io::Result<Vec<u8>> {
-        let Some(file) = &mut self.file else { return Ok(Vec::new()) };
-        // A pipe has no position.
-        let Ok(here) = file.stream_position() else { return Ok(Vec::new()) };
-        let index = index(file).unwrap_or_default();
-        self.continue_at(here)?;
-        Ok(index)
-    }
+/// Reads the records of the index at the end of a file. Returns none if the index is incomplete, or if
+/// the file is a pipe. Reading then continues where it was.
+pub(super) fn read_index(file: &mut File) -> io::Result<Vec<u8>> {
+    // A pipe has no position.
+    let Ok(here) = file.stream_position() else { return Ok(Vec::new()) };
+    let index = index(file).unwrap_or_default();
+    file.seek(SeekFrom::Start(here))?;
+    Ok(index)
 }
 
 /// Lists the parts of a file, in their order, that contain only chunks without a message at these
