@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use super::file::RecordingFile;
 use super::mcap::Compression;
-use super::parts::{Limits, further_part, next_path};
+use super::parts::{further_part, next_path};
 use super::queue::{Queue, QueueSettings};
 use super::recorder::Recorder;
 use super::{RecordingError, ros};
@@ -35,11 +35,9 @@ impl Recorder {
     /// Creates a builder with the default settings.
     pub fn builder() -> RecorderBuilder {
         let settings = QueueSettings {
-            limits: Limits::default(),
             frame_id: "laser".to_owned(),
-            compression: Compression::Plain,
             sync_interval: Some(Duration::from_secs(1)),
-            before: None,
+            ..QueueSettings::default()
         };
         RecorderBuilder { overwrite: false, settings }
     }

@@ -148,10 +148,6 @@ pub(super) struct StreamPolls {
 }
 
 impl StreamPolls {
-    fn new(left_out: LeftOutCounter) -> Self {
-        Self { left_out, ..Self::default() }
-    }
-
     /// The records that follow belong to this stream, once one of its polls follows.
     pub(super) fn describe(&mut self, stream: Option<Stream>) {
         let Some(stream) = stream else { return };
@@ -206,8 +202,7 @@ impl StreamPolls {
                 reply
             }
             Entry::Scan(message) => {
-                if self.frame_ids.len() < MAX_SOURCES && !self.frame_ids.contains(&message.frame_id)
-                {
+                if self.frame_ids.len() < MAX_SOURCES {
                     self.frame_ids.insert(message.frame_id.clone());
                 }
                 // The driver delivers the stamp of the reply.
@@ -363,7 +358,8 @@ impl Polls {
     pub(super) fn new(recording: Recording) -> Self {
         let version = parse_version(&version_lines(recording.metadata()));
         let revolution = version.as_ref().and_then(revolution);
-        let stream = StreamPolls::new(recording.left_out.clone());
+        let left_out = recording.left_out.clone();
+        let stream = StreamPolls { left_out, ..StreamPolls::default() };
         let (version, failed_polls, serial_numbers) = (None, 0, BTreeSet::new());
         let is_over = false;
         Self { recording, stream, version, revolution, failed_polls, serial_numbers, is_over }

@@ -47,7 +47,7 @@ pub(super) struct Queue {
 }
 
 /// Settings that the threads of a recording need.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct QueueSettings {
     pub(super) limits: Limits,
     pub(super) frame_id: String,
@@ -258,20 +258,13 @@ mod tests {
     #[tokio::test]
     async fn a_file_is_written_while_its_sync_hangs() {
         let (go, wait) = mpsc::channel::<()>();
-        let settings = QueueSettings {
-            limits: Limits::default(),
-            frame_id: String::new(),
-            compression: Compression::Plain,
-            sync_interval: None,
-            before: None,
-        };
         let syncer = Syncer::start(Duration::ZERO).unwrap();
         syncer.begin(Box::new(move || {
             let _ = wait.recv();
             Ok(())
         }));
         let file = Box::new(io::sink());
-        let queue = Queue::into_writer(file, None, Some(syncer), settings).unwrap();
+        let queue = Queue::into_writer(file, None, Some(syncer), Default::default()).unwrap();
         queue.finish().await.unwrap();
         assert!(queue.ended().now_or_never().is_none());
         drop(go);

@@ -172,30 +172,28 @@ impl RecordedReply {
         Some(Self::new(request, &bytes, self.stamp))
     }
 
-    /// Bytes after the echo of the request, and after what an earlier reply has left.
+    /// Bytes after the echo of the request.
     pub(super) fn after_echo(&self) -> Option<&[u8]> {
         match (&self.command, &self.request) {
             (Some(command), _) => self.bytes.strip_prefix(&*command.bytes()),
-            (_, Some(request)) => {
-                let echo = request.bytes();
-                let at = match self.bytes.starts_with(echo) {
-                    true => 0,
-                    false => self.bytes.windows(echo.len()).rposition(|part| part == echo)?,
-                };
-                self.bytes.get(at + echo.len()..)
-            }
+            (_, Some(request)) => self.own()?.strip_prefix(request.bytes()),
             _ => None,
         }
     }
 
+    /// Bytes after what an earlier reply has left in SCIP 2.
+    fn own(&self) -> Option<&[u8]> {
+        let echo = self.request.as_ref().map_or(&b""[..], Request::bytes);
+        if self.bytes.starts_with(echo) {
+            return Some(&self.bytes);
+        }
+        let at = self.bytes.windows(echo.len()).rposition(|part| part == echo)?;
+        self.bytes.get(at..)
+    }
+
     /// Reply without its terminator.
     fn frame(&self) -> Option<&[u8]> {
-        let echo = self.request.map_or(0, |request| request.bytes().len());
-        let skipped = match self.request {
-            Some(_) => self.bytes.len().checked_sub(self.after_echo()?.len() + echo)?,
-            None => 0,
-        };
-        self.bytes.get(skipped..)?.strip_suffix(b"\n\n")
+        self.own()?.strip_suffix(b"\n\n")
     }
 
     /// Parses a successful reply of SCIP 1.1.

@@ -165,7 +165,7 @@ impl Writer {
     /// Writes the index and the end of the file.
     pub(super) fn finish(&mut self) -> io::Result<()> {
         self.flush()?;
-        self.end()
+        self.mcap.end()
     }
 
     /// Writes the encoded message.
@@ -233,17 +233,9 @@ impl Writer {
         self.mcap.add_messages(&records)
     }
 
-    /// Ends the file, which has no open chunk. If it may not grow by its index, it gets none.
-    fn end(&mut self) -> io::Result<()> {
-        match self.mcap.end() {
-            Err(error) if self.parts.continues_after(&error) => self.mcap.end_without_index(),
-            ended => ended,
-        }
-    }
-
     fn start_next_part(&mut self, log_time: u64) -> io::Result<()> {
         // End the file first: if there is no room for another one, this one is complete.
-        match self.end() {
+        match self.mcap.end() {
             Err(error) if self.parts.continues_after(&error) => {
                 tracing::warn!("a file has no room for its end, which `repair` adds");
             }

@@ -130,15 +130,16 @@ pub(super) fn decompress(
     })
 }
 
-#[cfg(feature = "compression")]
+#[cfg_attr(not(feature = "compression"), allow(unused_variables))]
 fn decoder<'a>(compression: &str, records: &'a [u8], size: u64) -> Option<Box<dyn Read + 'a>> {
-    use ruzstd::decoding::StreamingDecoder;
-
     match compression {
+        #[cfg(feature = "compression")]
         "lz4" => Some(Box::new(lz4_flex::frame::FrameDecoder::new(records))),
+        #[cfg(feature = "compression")]
         "zstd" => {
             let max_window = size.clamp(MAX_SMALL_WINDOW, MAX_CHUNK_BYTES);
-            match StreamingDecoder::new_with_max_window_size(records, max_window) {
+            let decoder = ruzstd::decoding::StreamingDecoder::new_with_max_window_size;
+            match decoder(records, max_window) {
                 Ok(decoder) => Some(Box::new(decoder)),
                 // Without its head, nothing can be decompressed.
                 Err(_) => Some(Box::new(std::io::empty())),
@@ -146,11 +147,6 @@ fn decoder<'a>(compression: &str, records: &'a [u8], size: u64) -> Option<Box<dy
         }
         _ => None,
     }
-}
-
-#[cfg(not(feature = "compression"))]
-fn decoder(_compression: &str, _records: &[u8], _size: u64) -> Option<std::io::Empty> {
-    None
 }
 
 /// Writes `none`, `lz4` or `zstd`.

@@ -135,9 +135,20 @@ impl<W: Write> McapWriter<W> {
         self.out.flush()
     }
 
-    /// Writes the index and the end of the file. Write nothing after it.
+    /// Writes the index and the end of the file, or only its end if it may not grow by the index (EFBIG).
+    /// Write nothing after it.
     pub(crate) fn end(&mut self) -> io::Result<()> {
         self.end_chunk()?;
+        match self.write_end() {
+            Err(error) if error.kind() == io::ErrorKind::FileTooLarge => {
+                self.index.leave_out();
+                self.write_end()
+            }
+            ended => ended,
+        }
+    }
+
+    fn write_end(&mut self) -> io::Result<()> {
         // What no message uses.
         let mut end = self.chunk.record.split_off(CHUNK_HEAD.min(self.chunk.record.len()));
         // CRC 0 means that it was not computed.
@@ -153,12 +164,6 @@ impl<W: Write> McapWriter<W> {
         end.extend_from_slice(&MAGIC);
         self.write(&end)?;
         self.out.flush()
-    }
-
-    /// Writes the end of a file that has no room for its index, after [`end`](Self::end) has failed.
-    pub(crate) fn end_without_index(&mut self) -> io::Result<()> {
-        self.index.leave_out();
-        self.end()
     }
 
     /// Takes the records of the open chunk, which the file has no room for.
