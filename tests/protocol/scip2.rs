@@ -277,7 +277,13 @@ fn a_status_has_a_meaning_for_its_command() {
     for (command, line, is_ok, is_ok_for, meaning) in [
         (Command::LaserOn, "00P", true, true, Some("success")),
         (Command::LaserOn, "02R", false, true, Some("the laser is on already")),
-        (Command::LaserOn, "01Q", false, false, Some("the laser is out of order")),
+        (
+            Command::LaserOn,
+            "01Q",
+            false,
+            false,
+            Some("the laser is out of order, or the sensor not stable yet"),
+        ),
         (Command::Reboot, "01Q", false, true, Some("send it once more within a second")),
         (Command::Version, "0Ee", false, false, Some("the sensor does not know the command")),
         (scan, "10Q", false, false, Some("the laser is off")),

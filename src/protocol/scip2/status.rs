@@ -71,7 +71,7 @@ impl Status {
             (C::Latest { .. } | C::Stream(_), [b'5'..=b'9', b'0'..=b'9']) => {
                 "laser, motor or other hardware is out of order"
             }
-            (C::LaserOn, b"01") => "the laser is out of order",
+            (C::LaserOn, b"01") => "the laser is out of order, or the sensor not stable yet",
             (C::LaserOn, b"02") => "the laser is on already",
             (C::BaudRate(_), b"01") => "the baud rate is not a number",
             (C::BaudRate(_), b"02") => "the sensor has no such baud rate",
