@@ -184,7 +184,9 @@ impl RecordedReply {
     /// Bytes after what an earlier reply has left in SCIP 2.
     fn own(&self) -> Option<&[u8]> {
         let echo = self.request.as_ref().map_or(&b""[..], Request::bytes);
-        if self.bytes.starts_with(echo) {
+        // All replies to a stream begin alike.
+        let len = self.request.as_ref().and_then(Request::reply_len);
+        if self.bytes.starts_with(echo) && len.is_none_or(|len| self.bytes.len() <= len) {
             return Some(&self.bytes);
         }
         let at = self.bytes.windows(echo.len()).rposition(|part| part == echo)?;

@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use tokio::time::sleep;
 use tokio_scip::{Rate, Scan, Sensor, Window};
-use urg_emulator::Model;
-use urg_recording::{LeftOutCounter, LeftOutReason, Recorder, Recording, cut, repair};
+use urg_emulator::{Fault, Faults, Model};
+use urg_recording::{LeftOutCounter, LeftOutReason, Recorder, Recording, ReplayPace, cut, repair};
 
 use crate::sink::{Sink, model as sensor_model, next, replayed, window as window_of};
 
@@ -159,6 +159,40 @@ async fn a_recording_has_the_scans_of_its_stream() {
 }
 
 /// The driver asks for one step to see whether the sensor measures.
+/// Without its last line feed, a reply runs into the next one.
+#[tokio::test(start_paused = true)]
+async fn a_scan_after_the_rest_of_another_is_recorded_once() {
+    for model in MODELS {
+        let sink = Sink::new();
+        let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+        let emulator = sensor_model(model);
+        let sensor = Sensor::builder().depth(1 << 10).connect(emulator.clone()).await.unwrap();
+        recorder.observe(&sensor);
+        let mut scans = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+        let faults = Faults::none().rate(0.2, Fault::Merged).rate(0.2, Fault::Cut(100)).seed(1);
+        emulator.set_faults(faults);
+        let mut delivered = Vec::new();
+        while delivered.len() < 50 {
+            let item = scans.next().await.unwrap();
+            recorder.record(&item).unwrap();
+            delivered.extend(item);
+        }
+        recorder.finish().await.unwrap();
+        let file = sink.bytes();
+        let mut again = Vec::new();
+        let replay = open(&file).replay(ReplayPace::Max).unwrap();
+        let sensor = Sensor::builder().depth(1 << 10).connect(replay).await.unwrap();
+        let mut replayed = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+        while let Some(item) = replayed.next().await {
+            again.extend(item);
+        }
+        let told = |scan: &Scan| (scan.times().stamp, bits(scan));
+        for found in [open(&file).scans().filter_map(Result::ok).collect(), again] {
+            assert!(found.iter().map(told).eq(delivered.iter().map(told)), "{model:?}");
+        }
+    }
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_probe_is_no_scan() {
     let sink = Sink::new();

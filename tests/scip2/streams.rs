@@ -256,6 +256,41 @@ async fn observers_know_the_request_of_each_scan_also_beside_another_request() {
     assert!(scans.len() > 50 && scans.iter().all(|is_known| *is_known), "{scans:?}");
 }
 
+/// A recorder finds the reply of each scan by its stamp. Without its last line feed, a reply runs into
+/// the next one.
+#[tokio::test(start_paused = true)]
+async fn observers_get_the_stamp_of_each_scan_also_after_the_rest_of_another_reply() {
+    for model in [Model::Ust10lx, Model::Utm30lx, Model::Urg04lxUg01] {
+        let emulator = numbered(model).build();
+        let stamps = Arc::new(Mutex::new(Vec::new()));
+        let seen = Arc::clone(&stamps);
+        let observed = builder().depth(512).on_reply(move |reply| {
+            seen.lock().unwrap().push((reply.stamp, reply.bytes.len()));
+        });
+        let sensor = observed.connect(emulator.clone()).await.unwrap();
+        let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+        next(&mut stream).await;
+        emulator.set_faults(Faults::none().rate(0.2, Fault::Merged).rate(0.2, Fault::Cut(100)));
+        let (mut scans, mut longest) = (0, 0);
+        while scans < 100 {
+            let Ok(scan) = stream.next().await.unwrap() else { continue };
+            let own = stamps
+                .lock()
+                .unwrap()
+                .iter()
+                .find(|(stamp, _)| *stamp == scan.times().stamp)
+                .copied();
+            longest = longest.max(own.unwrap_or_else(|| panic!("{model:?}, scan {scans}")).1);
+            scans += 1;
+        }
+        let alone = stamps.lock().unwrap().last().unwrap().1;
+        assert!(longest > 2 * alone, "{model:?}: {longest} bytes, {alone} alone");
+        // A reply that runs into the next one takes none with it.
+        let stats = sensor.stats();
+        assert!(stats.lost < scans * 6 / 10 && stats.malformed.line > 30, "{model:?}: {stats:?}");
+    }
+}
+
 #[tokio::test(start_paused = true)]
 async fn lost_scans_are_counted() {
     let emulator = numbered(Model::Ust10lx).build();

@@ -98,13 +98,13 @@ impl Scip2<'_> {
             if let Frame::Reply(bytes) = received.frame() {
                 like_a_stream = is_like_a_stream(bytes);
                 let own = find_own(request, bytes, &times, baud_rate);
-                let mut answered = own.filter(|_| !is_probe).map(|_| *request);
+                let mut answered = own.filter(|_| !is_probe).map(|(_, times)| (*request, times));
                 if own.is_none() {
                     answered =
                         self.state.take_streamed(bytes, &times, baud_rate, &self.line.shared);
                     is_streamed = answered.is_some();
                 }
-                self.line.observers.pass(|| raw_reply(bytes, answered, &times));
+                self.line.observers.pass(|| raw_reply(bytes, answered, times));
                 if let Some((frame, own)) = own {
                     times = own;
                     let parsed = Reply::parse(request, frame).map_err(Some);
@@ -173,10 +173,11 @@ pub(super) fn is_like_a_stream(frame: &[u8]) -> bool {
 
 pub(super) fn raw_reply<'a>(
     bytes: &'a [u8],
-    request: Option<Request>,
-    times: &ReplyTimes,
+    answered: Option<(Request, ReplyTimes)>,
+    times: ReplyTimes,
 ) -> RawReply<'a> {
-    let ReplyTimes { received: received_at, stamp, .. } = *times;
+    let (request, own) = answered.unzip();
+    let ReplyTimes { received: received_at, stamp, .. } = own.unwrap_or(times);
     RawReply { protocol: Protocol::Scip2, command: None, request, bytes, received_at, stamp }
 }
 
@@ -190,7 +191,9 @@ pub(super) fn find_own<'a>(
     baud_rate: Option<BaudRate>,
 ) -> Option<(&'a [u8], ReplyTimes)> {
     let echo = request.bytes();
-    if frame.starts_with(echo) {
+    // All replies to a stream begin alike.
+    let is_alone = request.reply_len().is_none_or(|len| frame.len() < len);
+    if is_alone && frame.starts_with(echo) {
         return Some((frame, *times));
     }
     let at = frame.windows(echo.len()).rposition(|part| part == echo)?;

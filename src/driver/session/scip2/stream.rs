@@ -166,7 +166,7 @@ impl Scip2<'_> {
             let (mut own, mut like_a_stream) = (None, false);
             if let Frame::Reply(bytes) = received.frame() {
                 own = self.state.take_streamed(bytes, &times, baud_rate, &self.line.shared);
-                self.line.observers.pass(|| raw_reply(bytes, own, &times));
+                self.line.observers.pass(|| raw_reply(bytes, own, times));
                 like_a_stream = is_like_a_stream(bytes);
             }
             drop(received);
@@ -232,10 +232,16 @@ impl State {
         times: &ReplyTimes,
         baud_rate: Option<BaudRate>,
         shared: &Shared,
-    ) -> Option<Request> {
+    ) -> Option<(Request, ReplyTimes)> {
         let running = self.running?;
         let request = running.request;
-        let (frame, times) = find_own(&request, frame, times, baud_rate)?;
+        let (own, times) = find_own(&request, frame, times, baud_rate)?;
+        let (rest, frame) = frame.split_at(frame.len() - own.len());
+        if rest.starts_with(request.bytes())
+            && let Err(error) = Reply::parse(&request, rest)
+        {
+            self.add_malformed(&request, error, rest.len(), shared);
+        }
         match Reply::parse(&request, frame) {
             Ok(Reply { content: Content::Scan(scan), .. }) => {
                 self.add_scan(running, scan, times, shared);
@@ -253,7 +259,7 @@ impl State {
             }
             Err(error) => self.add_malformed(&request, error, frame.len(), shared),
         }
-        Some(request)
+        Some((request, times))
     }
 
     /// Lets a scan wait, unless it is a copy of the latest one, or comes after a newer one.
