@@ -140,7 +140,7 @@ pub fn cut<R: Read + Send + 'static>(
     };
     while let Some(Reverse((_, number))) = queue.pop() {
         let Some(source) = sources.get_mut(number) else { continue };
-        copy.step(source).map_err(RecordingError::write)?;
+        copy.step(number, source).map_err(RecordingError::write)?;
         if source.is_over {
             // The channels and schemas that have no message in the copy.
             if !source.records.definitions().write_rest(lost_schema, &mut copy.writer) {
@@ -234,8 +234,8 @@ struct Copy<W> {
     writer: McapWriter<W>,
     keeps_compression: bool,
     range: TimeRange,
-    /// Latest successful replies that identify the sensor.
-    identity: BTreeMap<ReplyKind, (MessageHeader, Vec<u8>)>,
+    /// Latest successful replies that identify the sensor, and the numbers of their sources.
+    identity: BTreeMap<ReplyKind, (usize, MessageHeader, Vec<u8>)>,
     /// Latched messages before the part, until it begins.
     latched: Latched,
     /// Time of the first message in the open chunk, once the part has begun.
@@ -247,7 +247,7 @@ struct Copy<W> {
 
 impl<W: Write> Copy<W> {
     /// Copies the metadata and the message that a source has read, if they belong to the part.
-    fn step(&mut self, source: &mut Source) -> std::io::Result<()> {
+    fn step(&mut self, number: usize, source: &mut Source) -> std::io::Result<()> {
         for content in std::mem::take(&mut source.metadata) {
             let Some((name, _)) = parse_metadata(&content) else { continue };
             if let Some(metadata) = parse_sensor_metadata(&content) {
@@ -281,8 +281,8 @@ impl<W: Write> Copy<W> {
         });
         let known = identity.and_then(|kind| self.identity.get(&kind));
         // Each file of a split recording begins with them.
-        if known.is_some_and(|(known, bytes)| {
-            known.publish_time == header.publish_time && bytes == data
+        if known.is_some_and(|(source, known, bytes)| {
+            *source != number && known.publish_time == header.publish_time && bytes == data
         }) {
             return Ok(());
         }
@@ -307,7 +307,7 @@ impl<W: Write> Copy<W> {
             return Ok(());
         }
         if let Some(kind) = identity {
-            self.identity.insert(kind, (header, data.to_vec()));
+            self.identity.insert(kind, (number, header, data.to_vec()));
             if !is_inside {
                 record.into_iter().for_each(|record| self.polls.add(record));
                 return Ok(());
@@ -316,7 +316,8 @@ impl<W: Write> Copy<W> {
         if self.chunk_began.is_none() {
             let log_time = header.log_time;
             let known = std::mem::take(&mut self.identity);
-            for (_, (header, data)) in known.iter().filter(|(kind, _)| Some(**kind) != identity) {
+            for (_, (_, header, data)) in known.iter().filter(|(kind, _)| Some(**kind) != identity)
+            {
                 self.message(MessageHeader { log_time, ..*header }, data, None)?;
             }
             self.identity = known;
