@@ -134,6 +134,7 @@ pub fn cut<R: Read + Send + 'static>(
         range: TimeRange::new(&range),
         identity: BTreeMap::new(),
         latched: Latched::default(),
+        metadata: None,
         chunk_began: None,
         polls: StreamPolls::default(),
         outcome,
@@ -238,6 +239,8 @@ struct Copy<W> {
     identity: BTreeMap<ReplyKind, (usize, MessageHeader, Vec<u8>)>,
     /// Latched messages before the part, until it begins.
     latched: Latched,
+    /// Latest metadata of a recording, and its source: each file of a split recording repeats it.
+    metadata: Option<(usize, Vec<u8>)>,
     /// Time of the first message in the open chunk, once the part has begun.
     chunk_began: Option<u64>,
     /// Counts the scans as a reader of the copy does.
@@ -251,6 +254,10 @@ impl<W: Write> Copy<W> {
         for content in std::mem::take(&mut source.metadata) {
             let Some((name, _)) = parse_metadata(&content) else { continue };
             if let Some(metadata) = parse_sensor_metadata(&content) {
+                let known = self.metadata.as_ref().filter(|(source, _)| *source != number);
+                if known.is_some_and(|(_, known)| *known == content) {
+                    continue;
+                }
                 let stream = Stream::from_metadata(&metadata);
                 if stream.as_ref().is_some_and(|stream| stream.model.0.is_some()) {
                     // Otherwise it would follow the metadata in the copy, and count as the later one.
@@ -259,6 +266,7 @@ impl<W: Write> Copy<W> {
                 self.polls.describe(stream);
                 // Of the first description, whatever follows.
                 self.count_scans(false);
+                self.metadata = Some((number, content.clone()));
             }
             self.writer.metadata(name, &content)?;
         }

@@ -146,6 +146,8 @@ async fn joined_files_equal_the_unsplit_recording() {
     let mut joined = Vec::new();
     let outcome = cut(files, .., None, &mut joined).unwrap();
     assert_eq!(outcome.scans, 60);
+    let summary = mcap::Summary::read(&joined).unwrap().unwrap();
+    assert_eq!(summary.metadata_indexes.len(), 1, "each file has it");
     let records: Vec<_> =
         Recording::read(std::io::Cursor::new(joined)).unwrap().map(Result::unwrap).collect();
     let numbers = records.iter().filter(|record| matches!(record.entry, Entry::Scan(_)));
