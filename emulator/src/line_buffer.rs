@@ -71,22 +71,3 @@ impl LineBuffer {
         Some(CommandLine { at, bytes, end: byte, too_long, garbled, overlapping, repeated: false })
     }
 }
-
-#[cfg(test)]
-#[allow(clippy::unwrap_used)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_line_without_a_terminator_keeps_64_bytes() {
-        let now = Instant::now();
-        let mut line = LineBuffer::default();
-        for _ in 0..1_000_000 {
-            assert!(line.push(b'V', now, false, false).is_none());
-        }
-        assert!(line.bytes.capacity() <= 2 * MAX_LINE_BYTES);
-        let arrived = line.push(b'\r', now, false, false).unwrap();
-        assert_eq!(arrived.bytes, [b'V'; MAX_LINE_BYTES]);
-        assert!(arrived.too_long && line.bytes.is_empty());
-    }
-}

@@ -163,10 +163,9 @@ impl Geometry {
             front: told.front,
             end: *told.steps.end(),
             // A URG's rear is where it is.
-            turn: if self.turn == self.last + 1 {
-                told.steps.end().saturating_add(1)
-            } else {
-                self.turn
+            turn: match self.turn == self.last + 1 {
+                true => told.steps.end().saturating_add(1),
+                false => self.turn,
             },
             nearest: *told.distances.start(),
             farthest: *told.distances.end(),
