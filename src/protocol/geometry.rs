@@ -124,7 +124,8 @@ impl Geometry {
             Codes::Urg => 0,
             Codes::Utm => 1,
             Codes::Ethernet => 65_533,
-            Codes::Uam | Codes::Unknown => self.max_distance.saturating_add(1),
+            Codes::Uam => 65_534,
+            Codes::Unknown => self.max_distance.saturating_add(1),
         }
     }
 

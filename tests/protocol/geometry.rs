@@ -90,6 +90,11 @@ fn each_model_has_the_geometry_that_it_tells() {
 /// others. `greatest` is its longest distance.
 fn check_codes(geometry: Geometry, infinite: &[u32], others: &[u32], greatest: u32) {
     let least = *geometry.distances().start();
+    let far = geometry.far_value();
+    assert!(
+        infinite.contains(&far) || infinite.is_empty() && far > greatest,
+        "{geometry:?}: {far}"
+    );
     for value in (0..70_000).chain(99_990..100_010).chain([(1 << 18) - 1]) {
         let found = geometry.measurement(value);
         assert_eq!(found.value(), value);
