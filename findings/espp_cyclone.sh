@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 
+from cyclone_writer import cyclone_writer
 from place import PLACE, compare, network, pypi, run
 
 WRITERS = {
@@ -21,22 +22,7 @@ participant.start()
 participant.add_writer("text", "Text", reliable=True)
 def write(): participant.publish("text", b"\\0\\1\\0\\0\\6\\0\\0\\0hello\\0\\0\\0")
 """,
-    "Cyclone DDS": """
-from dataclasses import dataclass
-from cyclonedds.core import Policy, Qos
-from cyclonedds.domain import DomainParticipant
-from cyclonedds.idl import IdlStruct
-from cyclonedds.pub import DataWriter
-from cyclonedds.topic import Topic
-@dataclass
-class Text(IdlStruct, typename="Text"):
-    text: str
-cdr = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
-qos = Qos(Policy.Reliability.Reliable(10**9), Policy.History.KeepLast(1), cdr)
-participant = DomainParticipant(0)
-writer = DataWriter(participant, Topic(participant, "text", Text), qos=qos)
-def write(): writer.write(Text("hello"))
-""",
+    "Cyclone DDS": cyclone_writer(0, "text", "Text"),
 }
 os.environ["PYTHONPATH"] = str(pypi("espp==1.3.10", "cyclonedds==11.0.1"))
 network()

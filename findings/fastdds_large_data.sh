@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 
+from cyclone_writer import cyclone_writer
 from place import PLACE, compare, network, run
 
 WRITERS = {
@@ -21,22 +22,7 @@ rclpy.init()
 publisher = rclpy.create_node("writer").create_publisher(String, "text", 10)
 def write(): publisher.publish(String(data="hello"))
 """,
-    "Cyclone DDS": """
-from dataclasses import dataclass
-from cyclonedds.core import Policy, Qos
-from cyclonedds.domain import DomainParticipant
-from cyclonedds.idl import IdlStruct
-from cyclonedds.pub import DataWriter
-from cyclonedds.topic import Topic
-@dataclass
-class String(IdlStruct, typename="std_msgs::msg::dds_::String_"):
-    data: str
-cdr = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
-qos = Qos(Policy.Reliability.Reliable(10**9), Policy.History.KeepLast(1), cdr)
-participant = DomainParticipant(7)
-writer = DataWriter(participant, Topic(participant, "rt/text", String), qos=qos)
-def write(): writer.write(String("hello"))
-""",
+    "Cyclone DDS": cyclone_writer(7, "rt/text", "std_msgs::msg::dds_::String_"),
 }
 READER = """
 import os
