@@ -68,9 +68,9 @@
 //! recorded for the stream, byte for byte, including refused and malformed replies, and replies to
 //! scans that the recording's own consumer missed. Scans have the recorded stamps. If you ask for
 //! another window than the recorded one, each step has its latest known value, or
-//! [none](tokio_scip::Geometry::unknown_value). Fences use up no reply, unless the
-//! stream has one step and the fence asks for the same. Of several sensors in one file, the first is
-//! replayed. To get the same scans without a replay, use [`Recording::scans`].
+//! [none](tokio_scip::Geometry::unknown_value). Fences use up no reply, unless the stream has one
+//! step and the fence asks for the same. Of several sensors in one file, the first is replayed. To get
+//! the same scans without a replay, use [`Recording::scans`].
 //!
 //! In SCIP 2 the driver polls a replay, too, and a stream (`MD`) that another program asks for sends
 //! every scan. Subscribe with [`Rate::UNLIMITED`](tokio_scip::Rate::UNLIMITED) to keep the recorded

@@ -128,6 +128,7 @@ fn run(steps: &mpsc::Receiver<SyncStep>, interval: Duration, state: &Mutex<SyncS
     let mut next = Some(Instant::now());
     // An interval may be longer than the clock runs.
     let sync = |file: &mut Option<Sync>| sync(file, interval, state).checked_add(interval);
+    // Who waits for it goes on after the last sync.
     let _done = loop {
         let step = match due {
             None => steps.recv().map_err(|_| RecvTimeoutError::Disconnected),

@@ -37,7 +37,7 @@ use crate::port::{Port, PortHints};
 
 /// Room for any reply of a sensor; the longest has 1,576 bytes. A little more, because a
 /// read that fills the buffer needs a second one to see the end. Garbage can make the buffer
-/// grow to 8 KiB, in SCIP 2 to 32 KiB.
+/// grow to 8 KiB, and in SCIP 2 further: a reply may take 16 KiB.
 const READ_BUFFER_BYTES: usize = 1600;
 /// Room for any command, and the LF before it.
 const WRITE_BUFFER_BYTES: usize = 32;
