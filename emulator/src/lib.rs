@@ -57,7 +57,7 @@
 //! In SCIP 2, a model does what is known of it: `II` during a stream makes a UTM send halves of
 //! scans, and the answer of a UST comes within a scan; after its echo a UST repeats the terminator of
 //! the command, LF or CR; a command for intensities or several echoes locks a URG-04LX until its
-//! power is cut. This emulator's choice are `0E` for an unknown command, `0C` for a short and `0D` for
+//! power is cut. This emulator's choices are `0E` for an unknown command, `0C` for a short and `0D` for
 //! a long one; a second stream replaces the first; in clock mode other commands are refused with `0E`,
 //! by a UST with `10`; `GS` and `MS` send 4095 for what does not fit; `CR01` to `CR10` slow the motor
 //! down by as many percent.

@@ -162,7 +162,7 @@ impl Geometry {
             last: *told.steps.end(),
             front: told.front,
             end: *told.steps.end(),
-            // A URG's rear is where it is.
+            // After the last step, but for a URG, whose revolution ends at its rear.
             turn: match self.turn == self.last + 1 {
                 true => told.steps.end().saturating_add(1),
                 false => self.turn,

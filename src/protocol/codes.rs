@@ -9,7 +9,7 @@ pub(super) enum Codes {
     Urg,
     /// 1 to 5: UTM on USB (p. 12).
     Utm,
-    /// 4 and 65533: UST (C-42-04213 p. 4), and as seen UTM on Ethernet (`-EW`).
+    /// 4 and 65533: UST (C-42-04213 p. 4). UTM on Ethernet (`-EW`) was seen to send 65533.
     Ethernet,
     /// 65532 to 65535: UAM (Hokuyo's package uam-05lp 0.2.0, of their other protocol).
     Uam,

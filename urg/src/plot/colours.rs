@@ -57,7 +57,7 @@ pub(crate) const WEAK_SENSORS: [u8; SENSORS.len()] = [31, 166, 28, 92, 161, 100]
 /// Binary logarithm of the intensity where the shades begin.
 ///
 /// Intensities have 18 bits, and Hokuyo documents neither unit nor range. The filters of ROS call
-/// those below 100 dark, and start with bright ones at 8,000; scans of UST-10LX have 370 to 1,920.
+/// those below 100 dark, and start with bright ones at 8,000; scans of UST-10LX have 370 to 1,913.
 /// So each shade doubles the last.
 /// A scale that followed the scan would change the shade of a wall with each reflector in sight.
 pub(crate) const WEAKEST: u32 = 6;
