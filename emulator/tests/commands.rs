@@ -7,7 +7,6 @@ use tokio::time::timeout;
 use urg_emulator::{EmptyCommand, Emulator, Firmware, Fixed, Pace, RepeatedLaser};
 
 use super::script::Script;
-use super::{instant_sensor, listen};
 
 const PARTS: [&[u8]; 16] = [
     b"V",
@@ -158,15 +157,4 @@ async fn talk(mut script: Script<'_>) {
     let counts = emulator.counts();
     assert_eq!((counts.commands, counts.overrun, counts.garbled), (commands, 0, 0));
     assert_eq!(emulator.is_laser_on(), model.laser);
-}
-
-#[tokio::test(start_paused = true)]
-async fn a_line_without_a_terminator_keeps_64_bytes() {
-    let emulator = instant_sensor().build();
-    let mut link = emulator.link();
-    link.write_all(&[b'V'; 100_000]).await.unwrap();
-    link.write_all(b"\r").await.unwrap();
-    listen(&mut link).await;
-    let lines: Vec<_> = emulator.log().into_iter().map(|line| line.line).collect();
-    assert_eq!(lines, [vec![b'V'; 64]]);
 }

@@ -82,3 +82,11 @@ proptest! {
         prop_assert!(replies(&emulator, &bytes).len() < 1_000_000);
     }
 }
+
+#[test]
+fn a_line_without_a_terminator_keeps_64_bytes() {
+    let emulator = instant_sensor().build();
+    replies(&emulator, &[&[b'V'; 100_000][..], b"\r"].concat());
+    let lines: Vec<_> = emulator.log().into_iter().map(|line| line.line).collect();
+    assert_eq!(lines, [vec![b'V'; 64]]);
+}
