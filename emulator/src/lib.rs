@@ -60,7 +60,7 @@
 //! power is cut. This emulator's choices are `0E` for an unknown command, `0C` for a short and `0D` for
 //! a long one; a second stream replaces the first; in clock mode other commands are refused with `0E`,
 //! by a UST with `10`; `GS` and `MS` send 4095 for what does not fit; `CR01` to `CR10` slow the motor
-//! down by as many percent.
+//! down by as many percent; after `BM`, a UTM or UST answers `GD` after a turn with the laser on.
 
 mod body;
 mod builder;

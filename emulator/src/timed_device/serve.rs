@@ -10,6 +10,7 @@ use crate::device::Device;
 use crate::faults::{Aftermath, Delivery, Fault};
 use crate::journal::SentScan;
 use crate::line_buffer::CommandLine;
+use crate::models::Model;
 use crate::playback::NextReply;
 use crate::random::Random;
 use crate::scip2::Times;
@@ -92,11 +93,12 @@ impl TimedDevice {
     fn take_effect(&mut self, at: Instant, effect: Effect) {
         match effect {
             Effect::None | Effect::Wait(_) | Effect::Scan => {}
-            Effect::LaserOn => {
-                if self.timing.pace == Pace::PerRevolution {
-                    self.scans_from = at + self.motor.period();
-                }
-            }
+            // No scan is of a revolution with the laser off, nor with it off in part.
+            Effect::LaserOn => match (self.timing.pace, self.device.body.model) {
+                (Pace::PerRevolution, _) => self.scans_from = at + self.motor.period(),
+                (_, Model::Urg04lx | Model::Urg04lxUg01) => {}
+                _ => self.scans_from = self.motor.next_end(self.motor.next_end(at)),
+            },
             Effect::BaudRate(baud_rate) => {
                 let change = (at + self.motor.period()).max(self.transmitter.free());
                 self.schedule(change, TimedEvent::BaudRate(baud_rate));

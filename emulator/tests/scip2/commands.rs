@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use tokio::io::AsyncWriteExt;
-use tokio::time::sleep;
+use tokio::time::{Instant, sleep};
 use tokio_scip::BaudRate;
 use urg_emulator::{Emulator, Firmware, Fixed, Model, Quirk, Verdict};
 
@@ -250,6 +250,21 @@ async fn a_scan_has_the_time_of_its_first_step() {
     // Step 0 was measured 1,081 steps of 1,440 before the end of the revolution, after 981.2 ms.
     let reply = "GD0100010001;a b\n00P\n00?ET\n0CBe\n\n";
     assert_eq!(ask(&mut link, "GD0100010001;a b").await, reply);
+}
+
+#[tokio::test(start_paused = true)]
+async fn no_scan_is_of_a_time_when_the_laser_was_off() {
+    for model in [Model::Utm30lx, Model::Ust10lx] {
+        let mut link = sensor(model).build().link();
+        sleep(Duration::from_millis(1010)).await;
+        assert_eq!(ask(&mut link, "BM").await, "BM\n00P\n\n");
+        let asked = Instant::now();
+        // Of the revolution that begins after 1,025 ms, and ends after 1,050 ms: it is sent at its end, with
+        // the time of its first step, 18.8 ms before.
+        let reply = ask(&mut link, "GD0000000001").await;
+        assert_eq!(reply, "GD0000000001\n00P\n00@7G\n0CBe\n\n", "{model:?}");
+        assert!(asked.elapsed() >= Duration::from_millis(38), "{model:?}");
+    }
 }
 
 #[tokio::test(start_paused = true)]
