@@ -29,7 +29,7 @@ struct Kind {
     /// Times in microseconds in place of milliseconds.
     is_fine: bool,
     is_busy: bool,
-    /// Clock and motor jump.
+    /// Clock and motor jump, and the motor may turn at another speed than the sensor tells.
     is_odd: bool,
     /// The host's clock is steered.
     is_slewed: bool,
@@ -50,7 +50,8 @@ impl Cell {
     fn add(&mut self, kind: Kind, seed: u64) {
         let mut random = ModelRandom(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
         let epoch = Instant::now();
-        let mut period = kind.revolution * random.between(0.996, 1.004);
+        let untold = if kind.is_odd { 0.13 } else { 0.004 };
+        let mut period = kind.revolution * random.between(1.0 - untold, 1.0 + untold);
         let drift = random.pick(&[0.0, 0.001, -0.001]) / 3600.0;
         let rate = 1.0 + random.between(-0.002, 0.002);
         let mut offset = WRAP * random.below_one();
