@@ -77,7 +77,8 @@ impl SensorBuilder {
     }
 
     /// Sets whether scans have [intensities](crate::Scan::intensities), where the sensor has them: a
-    /// UTM or UST. They double the length of a reply. Default: `false`.
+    /// UTM or UST. They double the length of a reply. ROS's hokuyo_node 1.7.8 asks a UTM-30LX for no more
+    /// than 95° of them, because more crashed its firmware or spoiled the data. Default: `false`.
     pub fn intensities(mut self, intensities: bool) -> Self {
         self.config.wanted.intensities = intensities;
         self

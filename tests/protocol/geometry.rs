@@ -124,7 +124,9 @@ fn check_codes(geometry: Geometry, infinite: &[u32], others: &[u32], greatest: u
 fn each_model_has_its_own_codes() {
     let up_to_19: Vec<u32> = (0..20).collect();
     check_codes(Geometry::URG_04LX, &[0, 6, 16], &up_to_19, 4094);
-    let ubg = geometry("UBG-04LX-F01", [20, 5600, 1024, 44, 725, 384, 600]);
+    // As one told.
+    let name = "UBG-04LX-F01[Rapid-URG](Hokuyo Automatic Co., Ltd.)";
+    let ubg = geometry(name, [20, 5600, 1024, 44, 725, 384, 2400]);
     for geometry in [urg(), ug01(), ubg] {
         check_codes(geometry, &[0], &up_to_19, 5599);
     }

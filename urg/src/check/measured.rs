@@ -159,7 +159,14 @@ impl Measured {
         let cause = match &self.shortfall {
             Some(explanation) => explanation.clone(),
             None if self.lost() > 0 => format!("{} polls brought no scan", self.lost()),
-            None => "some revolutions of the motor brought no scan".to_owned(),
+            None => match self.turns().filter(|turns| Rate::hz(*turns).is_reached_by(reached)) {
+                Some(turns) => format!(
+                    "each revolution brought one, and the motor turns at {:.0} rpm in place of {:.0}",
+                    turns * 60.0,
+                    asked * 60.0
+                ),
+                None => "some revolutions of the motor brought no scan".to_owned(),
+            },
         };
         Finding::new("rate", verdict, format!("{text}: {cause}"))
     }
@@ -172,12 +179,18 @@ impl Measured {
         let (mean, most) = (mean.as_millis(), longest.as_millis());
         let text = format!("a whole scan takes {mean} ms, {most} ms at most");
         let wire = self.baud_rate.map(|speed| self.window.wire_time(speed));
-        let good = Duration::from_secs_f64(MAX_REVOLUTIONS / self.asked) + wire.unwrap_or_default();
+        let turns = self.turns().unwrap_or(self.asked).min(self.asked);
+        let good = Duration::from_secs_f64(MAX_REVOLUTIONS / turns) + wire.unwrap_or_default();
         if longest <= good {
             return Finding::ok("latency", text);
         }
         let text = format!("{text}: expected at most {} ms", good.as_millis());
         Finding::weak("latency", text)
+    }
+
+    /// Measured revolutions of the motor in a second.
+    fn turns(&self) -> Option<f64> {
+        self.after.motor.map(|motor| 1.0 / motor.revolution.as_secs_f64())
     }
 
     fn motor(&self) -> Finding {

@@ -182,6 +182,15 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
+    async fn a_slow_motor_is_not_blamed_on_lost_scans() {
+        // As a UBG-04LX-F01 does.
+        let slow = Emulator::builder().model(Model::Utm30lx).revolution(Duration::from_millis(28));
+        let (bad, text) = test(slow, Faults::none(), 10).await;
+        assert_eq!(bad, [("rate", Verdict::Weak)], "{text}");
+        assert!(text.contains("the motor turns at 2143 rpm in place of 2400"), "{text}");
+    }
+
+    #[tokio::test(start_paused = true)]
     async fn a_slow_line_is_weak_and_told_what_helps() {
         let slow = Emulator::builder().baud_rate(BaudRate::B19200);
         let (bad, text) = test(slow, Faults::none(), 10).await;
