@@ -11,9 +11,11 @@ use tokio_scip::{ErrorChain, Rate, Sensor, Window};
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let port = std::env::args().nth(1).ok_or("expected a port, such as /dev/ttyACM0")?;
     let sensor = Sensor::builder().wait_for_sensor(true).open(port.as_str()).await?;
+    let mut options = MqttOptions::new("urg-front", "localhost", 1883);
+    // Its default for what is sent, 10 KiB, is less than a scan of a UST.
+    options.set_max_packet_size(10 * 1024, 1024 * 1024);
     // There is no queue: only the scan in `publish` waits.
-    let (bus, mut connection) =
-        AsyncClient::new(MqttOptions::new("urg-front", "localhost", 1883), 0);
+    let (bus, mut connection) = AsyncClient::new(options, 0);
     tokio::spawn(async move {
         loop {
             // The next call connects again.
