@@ -21,12 +21,12 @@ for line in sys.stdin:
     message.angle_min = scan["angle_min"]
     message.angle_increment = scan["angle_increment"]
     message.angle_max = scan["angle_min"] + (len(scan["ranges"]) - 1) * scan["angle_increment"]
-    message.time_increment = scan["scan_time"] / 1024 * scan["cluster"]
+    message.time_increment = scan["scan_time"] * scan["angle_increment"] / math.tau
     message.scan_time = scan["scan_time"]
-    message.range_min, message.range_max = 0.019, 4.095  # every distance lies between
-    # REP 117: error codes 0, 6 and 16 and value 4095 may be beyond range, others are unknown.
+    message.range_min, message.range_max = scan["range_min"], scan["range_max"]
+    # REP 117: some of the values without a distance may be beyond the range, others are unknown.
     message.ranges = [
-        r if r is not None else math.inf if v in (0, 6, 16, 4095) else math.nan
+        r if r is not None else math.inf if v in scan["beyond"] else math.nan
         for r, v in zip(scan["ranges"], scan["values"])
     ]
     publisher.publish(message)

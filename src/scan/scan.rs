@@ -23,11 +23,10 @@ use crate::protocol::{Geometry, Measurement, Window};
 ///
 /// # As data
 ///
-/// With the feature `serde` a scan is written as `sequence`, `stamp` (seconds since 1970
-/// with microseconds), `first_ray` (likewise), `stamp_quality`, `lateness` (seconds, or
-/// null), `start`, `end`, `cluster`, `angle_min`, `angle_increment` (radians), `scan_time`
-/// (seconds), `repeat`, `reconnects`, the raw `values`, `ranges` in metres, null where there is no
-/// distance, and `intensities` if there are any.
+/// With the feature `serde` a scan is written as `sequence`, `stamp` and `first_ray` (seconds since 1970),
+/// `stamp_quality`, `lateness` (seconds, or null), `start`, `end`, `cluster`, `angle_min`,
+/// `angle_increment` (radians), `scan_time` (seconds), `range_min`, `range_max`, `repeat`, `reconnects`,
+/// `beyond` (values that are `+Inf` in ROS), `values`, `ranges` (metres, or null), and any `intensities`.
 #[derive(Clone)]
 pub struct Scan {
     pub(super) window: Window,

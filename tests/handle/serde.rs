@@ -33,7 +33,8 @@ async fn a_scan_is_one_line_of_ndjson() {
     let expected = format!(
         "{{\"sequence\":0,\"stamp\":{stamp},\"first_ray\":{first_ray},\
          \"stamp_quality\":\"arrival\",\"lateness\":null,\"start\":382,\"end\":385,\"cluster\":1,\
-         \"angle_min\":{},\"angle_increment\":{},\"scan_time\":0.1,\"repeat\":false,\"reconnects\":0,\"values\":[1234,0,7,4095],\
+         \"angle_min\":{},\"angle_increment\":{},\"scan_time\":0.1,\
+         \"range_min\":0.019,\"range_max\":4.095,\"repeat\":false,\"reconnects\":0,\"beyond\":[0,4095],\"values\":[1234,0,7,4095],\
          \"ranges\":[1.234,null,null,null]}}",
         scan.angle_min(),
         scan.angle_increment(),
@@ -59,6 +60,7 @@ fn a_scan_of_another_model_has_the_same_shape() {
     assert_eq!((&data["start"], &data["end"]), (&json!(539), &json!(541)));
     assert_eq!(data["values"], json!([60_000, 65_533, 2]));
     assert_eq!(data["ranges"], json!([60.0, null, null]));
+    assert_eq!((&data["beyond"], &data["range_max"]), (&json!([65_533]), &json!(60.001_f32)));
     let measurements: Vec<Measurement> = scan.rays().map(|ray| ray.measurement).collect();
     let codes = json!([{"distance": 60_000}, {"error": 65_533}, {"error": 2}]);
     assert_eq!(serde_json::to_value(measurements).unwrap(), codes);

@@ -34,10 +34,13 @@ pub(crate) fn check(scan: &Value) {
         [
             "angle_increment",
             "angle_min",
+            "beyond",
             "cluster",
             "end",
             "first_ray",
             "lateness",
+            "range_max",
+            "range_min",
             "ranges",
             "reconnects",
             "repeat",
