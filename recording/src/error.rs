@@ -170,7 +170,6 @@ fn conversion(path: &Path) -> String {
     )
 }
 
-/// Feature that writes a compression.
 fn feature(compression: &str) -> &str {
     if compression == "zstd" { "zstd" } else { "compression" }
 }

@@ -162,9 +162,11 @@ impl Write for FileWriter {
 
 /// Unlocks the file, although the thread that syncs it may still have it open: from now on it is an
 /// old part, which may be removed.
+#[cfg(unix)]
 impl Drop for FileWriter {
     fn drop(&mut self) {
-        unlock(&self.file);
+        // Fails only on a file system without locks.
+        let _ = rustix::fs::flock(&self.file, rustix::fs::FlockOperation::Unlock);
     }
 }
 
@@ -195,15 +197,6 @@ fn lock(file: &File) -> bool {
     // Record even on a file system without locks.
     flock(file, FlockOperation::NonBlockingLockExclusive) != Err(rustix::io::Errno::WOULDBLOCK)
 }
-
-#[cfg(unix)]
-fn unlock(file: &File) {
-    // Fails only on a file system without locks.
-    let _ = rustix::fs::flock(file, rustix::fs::FlockOperation::Unlock);
-}
-
-#[cfg(not(unix))]
-fn unlock(_: &File) {}
 
 #[cfg(not(unix))]
 fn lock(_: &File) -> bool {

@@ -8,7 +8,6 @@ use tokio::time::Instant;
 use super::item::WriteItem;
 use super::reply::identity_command;
 
-/// Newest items, and what a file needs at its beginning.
 #[derive(Debug)]
 pub(super) struct Held {
     span: Duration,

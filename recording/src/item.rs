@@ -29,7 +29,6 @@ pub(super) enum WriteItem {
 }
 
 impl WriteItem {
-    /// Number of bytes that this item takes in the queue.
     pub(super) fn weight(&self) -> usize {
         OVERHEAD_BYTES
             + match self {

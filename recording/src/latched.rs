@@ -43,14 +43,11 @@ impl LatchedTopic {
     }
 }
 
-/// Last messages of latched topics.
 #[derive(Debug, Default)]
 pub(super) struct Latched {
     /// Last message of each topic and frame. Frames share a message that has several.
     last: HashMap<(LatchedTopic, String), Rc<LatchedMessage>>,
-    /// Number of the next message.
     next: u64,
-    /// Bytes of the messages.
     bytes: usize,
 }
 

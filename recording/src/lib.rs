@@ -95,7 +95,6 @@ mod file;
 mod folder;
 mod from_ros;
 mod held;
-mod identity;
 mod item;
 mod latched;
 mod left_out;
@@ -116,7 +115,6 @@ pub mod ros;
 mod scans;
 mod stream;
 mod sync;
-mod topics;
 mod writer;
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -140,7 +138,6 @@ pub use self::scans::RecordedScans;
 #[doc(no_inline)]
 pub use urg_emulator::ReplayPace;
 
-/// Name of the metadata record.
 const METADATA: &str = "tokio_scip";
 
 /// Locks what one thread changes and another reads, even after a panic.

@@ -5,9 +5,8 @@ use std::time::{Duration, SystemTime};
 
 use super::left_out::LeftOutReason;
 use super::mcap::{self, Channel, Definitions, MessageHeader};
-use super::record::{Entry, Record};
+use super::record::{Entry, Record, Topic};
 use super::reply::RecordedReply;
-use super::topics::Topic;
 use crate::event::Event;
 use crate::ros::{self, CdrError};
 
@@ -16,7 +15,6 @@ const ROS1_SCAN: &str = "sensor_msgs/LaserScan";
 /// Longest name of a topic of ROS 2.
 const MAX_NAME_BYTES: usize = 255;
 
-/// Message that cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Unread {
     pub(super) at: SystemTime,
@@ -103,7 +101,6 @@ fn parse_entry(topic: Topic, stamp: SystemTime, data: &[u8]) -> Result<Entry, Cd
     })
 }
 
-/// Converts from the form in files.
 pub(super) fn time(nanos: u64) -> SystemTime {
     SystemTime::UNIX_EPOCH + Duration::from_nanos(nanos)
 }

@@ -35,7 +35,6 @@ pub(super) struct Limits {
 }
 
 impl Limits {
-    /// Returns true if old files are removed.
     pub(super) fn removes_old(&self) -> bool {
         self.keep_duration.is_some() || self.keep_bytes.is_some()
     }
@@ -97,18 +96,14 @@ impl Parts {
         let Some(path) = self.path.clone() else { return Err(io::ErrorKind::Unsupported.into()) };
         loop {
             self.number += 1;
-            let path = part_path(&path, self.number);
-            let begun = match RecordingFile::open(&path, false) {
-                Ok(file) => file.begin(self.syncer.clone()),
+            let out = match RecordingFile::open(part_path(&path, self.number), false) {
                 Err(RecordingError::Exists { .. } | RecordingError::Busy { .. }) => continue,
-                Err(RecordingError::Open { source, .. }) => {
-                    Err(io::Error::new(source.kind(), source))
+                Err(RecordingError::Open { path, source }) => {
+                    let kind = source.kind();
+                    return Err(io::Error::new(kind, RecordingError::Open { path, source }));
                 }
-                Err(error) => Err(io::Error::other(error)),
+                opened => opened.map_err(io::Error::other)?.begin(self.syncer.clone())?,
             };
-            let out = begun.map_err(|error| {
-                io::Error::new(error.kind(), format!("cannot create {}: {error}", path.display()))
-            })?;
             self.find_old();
             lock(&self.progress).files += 1;
             return Ok(self.count(out));
@@ -166,7 +161,6 @@ impl Parts {
     }
 }
 
-/// Counts the bytes written.
 pub(super) struct Counted {
     out: Box<dyn Write + Send>,
     progress: Arc<Mutex<Progress>>,
@@ -196,7 +190,6 @@ pub(super) fn next_path(path: &Path) -> Result<PathBuf, RecordingError> {
     }
 }
 
-/// Finds the first further file of a recording, if any.
 pub(super) fn further_part(path: &Path) -> Option<PathBuf> {
     begun_parts(path).into_iter().find(|(number, _)| *number > 1).map(|(_, path)| path)
 }

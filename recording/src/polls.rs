@@ -6,11 +6,10 @@ use std::time::{Duration, SystemTime};
 
 use super::event::Event;
 use super::from_ros::MessageScan;
-use super::identity::{parse_version, version_lines};
 use super::left_out::{LeftOutCounter, LeftOutReason};
 use super::reader::Item;
 use super::record::{Entry, Record};
-use super::reply::{RecordedReply, ReplyKind, Values};
+use super::reply::{RecordedReply, ReplyKind, Values, parse_version, version_lines};
 use super::stream::{Model, Stream};
 use super::{Recording, RecordingError};
 use crate::ros::LaserScan;
@@ -49,7 +48,6 @@ pub(super) struct PollReply {
     pub(super) answer: Answer,
 }
 
-/// What a recording has of an answer.
 #[derive(Debug, Clone)]
 pub(super) enum Answer {
     Reply(RecordedReply),
@@ -133,7 +131,6 @@ pub(super) struct StreamPolls {
     is_described: bool,
     /// Sensor of the replies in SCIP 2, by the latest description or reply to `PP`.
     told: Option<Model>,
-    /// Frames of the scans.
     pub(super) frame_ids: BTreeSet<String>,
     left_out: LeftOutCounter,
     /// Stamps of the latest replies to polls, and what they are of.
@@ -162,7 +159,6 @@ impl StreamPolls {
         self.streams.push_back(stream);
     }
 
-    /// Takes the next record of the file.
     pub(super) fn add(&mut self, record: Record) {
         let Record { at, stamp, .. } = record;
         let poll = |asked, answer| PollReply {
@@ -348,7 +344,6 @@ pub(super) struct Polls {
     pub(super) version: Option<RecordedReply>,
     /// Time of one revolution, from the sensor's latest reply to `V`, or else from the metadata.
     pub(super) revolution: Option<Duration>,
-    /// Number of polls without a scan, by the recorded events.
     pub(super) failed_polls: u64,
     pub(super) serial_numbers: BTreeSet<String>,
     is_over: bool,
@@ -419,7 +414,6 @@ impl Iterator for Polls {
     }
 }
 
-/// Nominal time of one revolution.
 fn revolution(version: &Version) -> Option<Duration> {
     let rpm = version.specification.as_ref()?.motor_speed?;
     Some(Duration::from_secs(60) / u32::from(rpm.max(1)))

@@ -5,7 +5,7 @@
 use std::io::{self, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::mpsc;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -31,7 +31,6 @@ const HIGH_WATER_BYTES: usize = 8 << 20;
 const HELD_BYTES: usize = HIGH_WATER_BYTES / 2;
 /// [`Queue::ready`] waits until at most this many bytes wait.
 const LOW_WATER_BYTES: usize = 1 << 20;
-/// Items on their way into the file.
 #[derive(Debug)]
 pub(super) struct Queue {
     items: mpsc::Sender<WriteItem>,
@@ -96,7 +95,8 @@ impl Queue {
             move || {
                 let written = AssertUnwindSafe(|| write_all(writer, &receiver, &queue));
                 let panicked = |_| Err(io::Error::other("the writer panicked"));
-                queue.end(catch_unwind(written).unwrap_or_else(panicked));
+                queue.fail(catch_unwind(written).unwrap_or_else(panicked));
+                queue.waiting.send_replace(None);
             }
         };
         std::thread::Builder::new()
@@ -113,7 +113,6 @@ impl Queue {
         lock(&self.pending).take(item, Instant::now().into_std(), |item| self.hold(item));
     }
 
-    /// Queues an item, or holds it until the trigger.
     fn hold(&self, item: WriteItem) {
         match lock(&self.held).as_mut() {
             Some(held) => held.push(item, Instant::now()),
@@ -178,20 +177,8 @@ impl Queue {
         }
     }
 
-    /// Error of writing, if it failed.
     pub(super) fn failure(&self) -> Option<RecordingError> {
         lock(&self.failure).clone()
-    }
-
-    /// Waits until everything written is on the disk.
-    fn sync_rest(&self) -> io::Result<()> {
-        self.syncer.as_ref().map_or(Ok(()), Syncer::finish)
-    }
-
-    /// Marks the thread as ended, so that callers stop waiting for it.
-    fn end(&self, outcome: io::Result<()>) {
-        self.fail(outcome);
-        self.waiting.send_replace(None);
     }
 
     /// Stores and logs the error, if `outcome` is one.
@@ -204,17 +191,13 @@ impl Queue {
     }
 }
 
-/// Writes the file until it is finished.
 fn write_all(
     mut writer: Writer,
     items: &mpsc::Receiver<WriteItem>,
     queue: &Queue,
 ) -> io::Result<()> {
     loop {
-        let item = match writer.until_flush() {
-            None => items.recv().map_err(|_| RecvTimeoutError::Disconnected),
-            Some(time) => items.recv_timeout(time),
-        };
+        let item = items.recv_timeout(writer.until_flush().unwrap_or(Duration::MAX));
         let weight = item.as_ref().map_or(0, WriteItem::weight);
         match item {
             Ok(WriteItem::Scan(scan)) => writer.scan(&scan)?,
@@ -230,15 +213,10 @@ fn write_all(
                 drop(writer);
                 // Fails if the recorder's future was dropped.
                 let _ = done.send(());
-                return queue.sync_rest();
+                return queue.syncer.as_ref().map_or(Ok(()), Syncer::finish);
             }
-            Err(RecvTimeoutError::Timeout) => {
-                writer.flush()?;
-                continue;
-            }
-            Err(RecvTimeoutError::Disconnected) => {
-                return writer.finish().and_then(|()| queue.sync_rest());
-            }
+            // Only by the time: `queue` has a sender.
+            Err(_) => writer.flush()?,
         }
         queue.waiting.send_modify(|waiting| *waiting = waiting.map(|waiting| waiting - weight));
         // While items keep arriving, the wait above never times out, so flush here when

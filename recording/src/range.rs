@@ -67,12 +67,10 @@ impl TimeRange {
         false
     }
 
-    /// Returns true if a time in the file lies before the part.
     pub(super) fn begins_after(&self, at: SystemTime) -> bool {
         !(self.limits.0, Bound::Unbounded).contains(&self.since_first_scan(at))
     }
 
-    /// Returns true if a time in the file lies in the part.
     pub(super) fn contains(&self, at: SystemTime) -> bool {
         self.limits.contains(&self.since_first_scan(at))
     }

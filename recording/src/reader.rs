@@ -15,9 +15,8 @@ use super::left_out::{LeftOutCounter, LeftOutReason};
 use super::mcap::{ChunkBytes, Records, kind, parse_metadata};
 use super::messages::{self, Unread};
 use super::range::TimeRange;
-use super::record::{Entry, Record};
+use super::record::{Entry, Record, Topic};
 use super::stream::Stream;
-use super::topics::Topic;
 use super::{METADATA, RecordingError};
 use tokio_scip::{Rate, Window};
 
@@ -52,14 +51,12 @@ const MAX_OTHER_TOPICS: usize = 16;
 /// ```
 pub struct Recording {
     records: Records,
-    /// Files that follow.
     further: VecDeque<PathBuf>,
     metadata: BTreeMap<String, String>,
     /// Bytes of records read so far, without compression.
     read_bytes: usize,
     /// Items read in advance.
     ahead: VecDeque<Result<Item, RecordingError>>,
-    /// Part to read.
     pub(super) range: TimeRange,
     /// Log times of the part, once they are known.
     times: Option<RangeInclusive<u64>>,
@@ -277,7 +274,6 @@ impl Recording {
         }))
     }
 
-    /// Returns the next item of the part.
     pub(super) fn next_item(&mut self) -> Option<Result<Item, RecordingError>> {
         loop {
             let item = match self.ahead.pop_front() {

@@ -1,12 +1,22 @@
-//! [`RecordedReply`]: a reply of the sensor, and what it says.
+//! [`RecordedReply`]: a reply of the sensor, and what it says. Which sensor it is, the metadata say, too.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::time::SystemTime;
 
 use super::stream::Model;
 use tokio_scip::protocol::scip2::{self, Content, Data, Label, Parameters, Request, Stamp};
 use tokio_scip::protocol::{Command, Reply};
-use tokio_scip::{BaudRate, Geometry, Window};
+use tokio_scip::{BaudRate, Geometry, Version, Window};
+
+/// Lines that every sensor sends, each with its key in the metadata.
+const LINES: [(&str, &str); 5] = [
+    ("VEND", "vendor"),
+    ("PROD", "product"),
+    ("FIRM", "firmware"),
+    ("PROT", "protocol"),
+    ("SERI", "serial_number"),
+];
 
 /// Reply of the sensor, byte by byte.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -112,7 +122,6 @@ impl RecordedReply {
         matches!(command, Some(scip2::Command::Stream(_)))
     }
 
-    /// Window of a request for scans in SCIP 2.
     fn asked(&self) -> Option<Window> {
         match self.request.as_ref()?.command() {
             scip2::Command::Latest { window, .. } => Some(*window),
@@ -135,7 +144,6 @@ impl RecordedReply {
         Some(lines.filter(|line| !line.is_empty()).map(<[u8]>::to_vec).collect())
     }
 
-    /// What a successful reply to `PP` says.
     pub(super) fn parameters(&self) -> Option<Parameters> {
         match self.scip2()? {
             Content::Parameters(parameters) => Some(parameters),
@@ -143,7 +151,6 @@ impl RecordedReply {
         }
     }
 
-    /// Values of a successful reply to a poll.
     pub(super) fn values(&self) -> Option<Values> {
         if let Some(Command::Distances(_)) = self.command {
             let distances = self.scip1()?.values().iter().map(|value| u32::from(*value)).collect();
@@ -210,13 +217,27 @@ impl RecordedReply {
     }
 }
 
+/// Lines of a reply to `V`. A line whose value is unknown has none.
+pub(super) fn version_lines(metadata: &BTreeMap<String, String>) -> Vec<Vec<u8>> {
+    // A line feed would end the line.
+    let value = |key: &str| metadata.get(key).and_then(|value| value.lines().next());
+    let line = |(name, key)| format!("{name}:{}", value(key).unwrap_or_default());
+    let lines = LINES.map(line).into_iter();
+    let status = value("status").map(|status| format!("STAT:{status}"));
+    lines.chain(status).map(String::into_bytes).collect()
+}
+
+pub(super) fn parse_version(lines: &[Vec<u8>]) -> Option<Version> {
+    let frame = [b"V\n0\n".to_vec(), lines.join(&b'\n')].concat();
+    Reply::parse(&Command::Version, &frame).ok().map(|reply| Version::from_reply(&reply))
+}
+
 /// Returns the command of a request that asks which sensor it is: `V`, and in SCIP 2 `PP` and `VV`.
 pub(super) fn identity_command(request: &str) -> Option<&'static str> {
     let command = request.split(';').next()?;
     ["V", "PP", "VV"].into_iter().find(|known| *known == command)
 }
 
-/// Parses a command of SCIP 1.1.
 fn parse_command(text: &str) -> Option<Command> {
     let number = |digits: Range<usize>| text.get(digits)?.parse::<u16>().ok();
     let distances = || {

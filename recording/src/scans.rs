@@ -7,10 +7,9 @@ use std::time::{Duration, SystemTime};
 
 use tokio::time::Instant;
 
-use super::identity::parse_version;
 use super::left_out::LeftOutReason;
 use super::polls::{PollReply, Polls};
-use super::reply::Values;
+use super::reply::{Values, parse_version};
 use super::stream::Model;
 use super::{Recording, RecordingError};
 use tokio_scip::protocol::scip2::Stamp;
@@ -88,10 +87,8 @@ impl Recording {
 /// Scans of a recording; made by [`Recording::scans`].
 pub struct RecordedScans {
     polls: Polls,
-    /// Number of the next scan.
     sequence: u64,
     log_time: SystemTime,
-    /// Values of the previous scan.
     previous: Option<Values>,
     /// Log time of the first scan, and the instant it gets.
     started: Option<(SystemTime, Instant)>,

@@ -46,7 +46,6 @@ pub(super) struct Stream {
 }
 
 impl Stream {
-    /// Returns the stream that metadata describe.
     pub(super) fn from_metadata(metadata: &BTreeMap<String, String>) -> Option<Self> {
         // The keys of `PP`, and no others, are in capitals.
         let told = metadata.iter().filter(|(key, _)| key.starts_with(char::is_uppercase));

@@ -18,7 +18,6 @@ pub(super) struct Syncer {
     state: Arc<Mutex<SyncState>>,
 }
 
-/// Results of the syncs.
 #[derive(Debug, Default)]
 struct SyncState {
     /// Number of finished syncs that took longer than the interval.
@@ -89,7 +88,6 @@ impl Syncer {
         self.failure()
     }
 
-    /// Waits until everything is on the disk.
     pub(super) fn finish(&self) -> io::Result<()> {
         let (done, finished) = mpsc::channel();
         self.send(SyncStep::Finish(done));
@@ -104,7 +102,6 @@ impl Syncer {
         state.late + u64::from(state.late_at.is_some_and(|late_at| Instant::now() > late_at))
     }
 
-    /// Returns true if the file system cannot sync.
     pub(super) fn is_unsupported(&self) -> bool {
         lock(&self.state).is_unsupported
     }
@@ -130,11 +127,8 @@ fn run(steps: &mpsc::Receiver<SyncStep>, interval: Duration, state: &Mutex<SyncS
     let sync = |file: &mut Option<Sync>| sync(file, interval, state).checked_add(interval);
     // Who waits for it goes on after the last sync.
     let _done = loop {
-        let step = match due {
-            None => steps.recv().map_err(|_| RecvTimeoutError::Disconnected),
-            Some(due) => steps.recv_timeout(due.saturating_duration_since(Instant::now())),
-        };
-        match step {
+        let rest = |due: Instant| due.saturating_duration_since(Instant::now());
+        match steps.recv_timeout(due.map_or(Duration::MAX, rest)) {
             Ok(SyncStep::Written) => due = due.or(next),
             Err(RecvTimeoutError::Timeout) => {
                 next = sync(&mut file);

@@ -8,8 +8,8 @@ use std::time::{Duration, Instant, SystemTime};
 use super::METADATA;
 use super::mcap::{self, Compression, McapWriter, MessageHeader, kind, nanos};
 use super::parts::{Counted, Parts};
+use super::record::Topic;
 use super::reply::{RecordedReply, identity_command};
-use super::topics::Topic;
 use crate::ros::{self, since_1970};
 use tokio_scip::Scan;
 

@@ -13,7 +13,6 @@ use std::io::Read;
 use super::MAX_CHUNK_BYTES;
 use crate::RecordingError;
 
-/// Level of Zstandard.
 #[cfg(feature = "zstd")]
 const ZSTD_LEVEL: i32 = 3;
 /// Largest window of zstd for a smaller chunk: a decoder reserves the window that the input claims.
@@ -54,7 +53,6 @@ impl Compression {
         }
     }
 
-    /// Name in a file.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Plain => "",
@@ -63,7 +61,6 @@ impl Compression {
         }
     }
 
-    /// Compression of this name in a file.
     pub(super) fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|one| one.name() == name)
     }
@@ -169,7 +166,6 @@ pub struct ChunkBytes {
 }
 
 impl ChunkBytes {
-    /// Adds a chunk of this compression.
     pub(super) fn add(&mut self, compression: &str, stored: usize, plain: usize) {
         self.compressions.extend(Compression::named(compression));
         self.stored += stored as u64;

@@ -36,7 +36,6 @@ impl Definitions {
         true
     }
 
-    /// Returns what a channel's definition says.
     pub(crate) fn channel(&self, number: u16) -> Option<Channel<'_>> {
         let mut fields = Fields(self.get(kind::CHANNEL, number)?);
         let schema = self.get(kind::SCHEMA, fields.u16()?);
@@ -96,13 +95,11 @@ impl Definitions {
     }
 }
 
-/// Definition of a channel.
 #[derive(Debug)]
 pub(crate) struct Channel<'a> {
     pub(crate) topic: &'a str,
     /// Name of its schema, if it has one.
     pub(crate) schema: Option<&'a str>,
-    /// Encoding of its messages.
     pub(crate) encoding: &'a str,
     metadata: Fields<'a>,
 }

@@ -65,7 +65,6 @@ pub(super) struct ChunkHead {
     pub(super) records: Range<usize>,
 }
 
-/// Kind of a record and length of its content.
 pub(super) fn record_head(bytes: &[u8]) -> Option<(u8, u64)> {
     let (&kind, rest) = bytes.split_first()?;
     Some((kind, Fields(rest).u64()?))
@@ -321,7 +320,6 @@ pub(super) fn is_well_formed(kind: u8, content: &[u8]) -> bool {
     }
 }
 
-/// Splits metadata into its name and its pairs.
 pub(crate) fn parse_metadata(content: &[u8]) -> Option<(&str, Vec<(&str, &str)>)> {
     let mut fields = Fields(content);
     Some((fields.string()?, map(&mut fields)?))

@@ -28,7 +28,6 @@ const RECORD_HEAD: usize = 1 + 8;
 /// Length of an uncompressed chunk's record up to its records: start, end, size, CRC, the
 /// empty name of the compression, length of the records.
 const CHUNK_HEAD: usize = RECORD_HEAD + 8 + 8 + 8 + 4 + 4 + 8;
-/// Length of a footer's content.
 const FOOTER_BYTES: usize = 20;
 /// Length of a file's end: its footer, and the magic after it.
 const FILE_END: usize = RECORD_HEAD + FOOTER_BYTES + MAGIC.len();
@@ -41,7 +40,6 @@ const MAX_DEFINITION_BYTES: usize = 64 << 20;
 /// Longest index to read and to write. 45 hours of chunks of a second take as much.
 const MAX_INDEX_BYTES: usize = 16 << 20;
 
-/// Kinds of records.
 pub(super) mod kind {
     pub(crate) const HEADER: u8 = 0x01;
     pub(super) const FOOTER: u8 = 0x02;
@@ -114,7 +112,6 @@ impl<'a> Fields<'a> {
         self.array().map(u64::from_le_bytes)
     }
 
-    /// Reads a length of 32 bits and that number of bytes.
     pub(super) fn bytes(&mut self) -> Option<&'a [u8]> {
         let length = usize::try_from(self.u32()?).ok()?;
         self.take(length)

@@ -18,8 +18,6 @@ pub(super) struct Window {
     input: Box<dyn Read + Send>,
     /// The same file, unless it can only be read forwards.
     pub(super) file: Option<File>,
-    /// Room for one read.
-    buffer: Vec<u8>,
     /// Bytes of the file, used up to `start`.
     bytes: Vec<u8>,
     start: usize,
@@ -41,7 +39,7 @@ impl Window {
         let file = (&input as &dyn Any).downcast_ref::<File>();
         let file = file.and_then(|file| file.try_clone().ok());
         let (input, checksum) = (Box::new(input), Some(Hasher::new()));
-        Self { input, file, buffer: Vec::new(), bytes: Vec::new(), start: 0, offset: 0, checksum }
+        Self { input, file, bytes: Vec::new(), start: 0, offset: 0, checksum }
     }
 
     /// Reads ahead: at least `count` bytes, unless the file has fewer.
@@ -58,15 +56,16 @@ impl Window {
 
     /// Reads up to [`READ_BYTES`]. Returns false at the end of the input.
     fn read_more(&mut self) -> io::Result<bool> {
-        self.buffer.resize(READ_BYTES, 0);
+        let known = self.bytes.len();
+        self.bytes.resize(known + READ_BYTES, 0);
         let read = loop {
-            match self.input.read(&mut self.buffer) {
+            match self.input.read(self.bytes.get_mut(known..).unwrap_or_default()) {
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                outcome => break outcome?,
+                read => break read,
             }
         };
-        self.bytes.extend_from_slice(self.buffer.get(..read).unwrap_or_default());
-        Ok(read > 0)
+        self.bytes.truncate(known + *read.as_ref().unwrap_or(&0));
+        Ok(read? > 0)
     }
 
     /// Bytes that were read ahead, counted from here.

@@ -85,7 +85,6 @@ pub fn write_scan(out: &mut Vec<u8>, scan: &Scan, stamp: SystemTime, frame_id: &
     intensities.iter().for_each(|intensity| cdr.number((*intensity as f32).to_le_bytes()));
 }
 
-/// Decodes a scan.
 pub(crate) fn read_scan(message: &[u8]) -> Result<LaserScan, CdrError> {
     read_fields(CdrReader::new(message)?).ok_or(CdrError::Malformed)
 }

@@ -114,7 +114,6 @@ pub fn is_frame_id(text: &str) -> bool {
         && text.len() <= MAX_FRAME_BYTES
 }
 
-/// Writes a `std_msgs/msg/Header`.
 fn write_header(cdr: &mut CdrWriter<'_>, stamp: SystemTime, frame_id: &str) {
     let stamp = since_1970(stamp);
     cdr.number(i32::try_from(stamp.as_secs()).unwrap_or(i32::MAX).to_le_bytes());

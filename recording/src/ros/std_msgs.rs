@@ -40,7 +40,6 @@ pub(crate) fn write_labelled_bytes(out: &mut Vec<u8>, label: &str, parts: &[&[u8
     cdr.bytes(parts);
 }
 
-/// Decodes the label and the bytes.
 pub(crate) fn read_labelled_bytes(message: &[u8]) -> Result<(&str, &[u8]), CdrError> {
     read_fields(CdrReader::new(message)?).ok_or(CdrError::Malformed)
 }
@@ -58,7 +57,6 @@ pub(crate) fn write_text(out: &mut Vec<u8>, text: &str) {
     CdrWriter::new(out).string(text);
 }
 
-/// Decodes the text.
 pub(crate) fn read_text(message: &[u8]) -> Result<&str, CdrError> {
     CdrReader::new(message)?.string().ok_or(CdrError::Malformed)
 }

@@ -55,7 +55,6 @@ impl Records {
         Ok(true)
     }
 
-    /// Decompresses the chunk here.
     fn decompress(&mut self, head: &ChunkHead, is_whole: bool) -> Result<(), RecordingError> {
         let compressed = head.records.start..self.used.min(head.records.end);
         let compressed = self.window.bytes(compressed);

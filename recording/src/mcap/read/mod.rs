@@ -23,7 +23,6 @@ use super::window::Window;
 use super::{ChunkBytes, Definitions, Fields, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
 use crate::RecordingError;
 
-/// Reason for damage.
 const WRONG_HEAD: &str = "a record's kind or length is wrong";
 
 /// Kind of a record, and the place of its content in [`Records::bytes`].
@@ -46,7 +45,6 @@ pub(crate) struct Records {
     window: Window,
     /// Chunk whose records are being read.
     chunk: ChunkRecords,
-    /// Bytes of the chunks so far.
     chunk_bytes: ChunkBytes,
     /// Name of the latest compression that this build does not read.
     unknown: Option<String>,
@@ -77,17 +75,14 @@ impl Records {
         *self = Self { chunk_bytes, is_truncated: self.is_truncated, ..Self::new(file) };
     }
 
-    /// Returns true if a whole file was read and its end is missing.
     pub(crate) fn is_truncated(&self) -> bool {
         self.is_truncated
     }
 
-    /// Bytes of the chunks so far.
     pub(crate) fn chunk_bytes(&self) -> &ChunkBytes {
         &self.chunk_bytes
     }
 
-    /// Schemas and channels so far.
     pub(crate) fn definitions(&mut self) -> &mut Definitions {
         &mut self.definitions
     }
