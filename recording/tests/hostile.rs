@@ -255,6 +255,30 @@ fn a_message_of_zeros_is_no_chunk() {
     }
 }
 
+/// With the zeros after it, they are a record of eight bytes, before another one.
+#[test]
+fn the_last_bytes_of_a_message_are_no_end_of_the_data() {
+    let message = of_kind(0x05, &[&[0; 22][..], &[1; 60], &[0x0f, 8, 0, 0]].concat());
+    let file = [MAGIC, &channel(), &message, &[0; 13], &channel(), &end()[13..]].concat();
+    let outcome = repair(Cursor::new(file), &mut Vec::new()).unwrap();
+    assert_eq!((outcome.messages, outcome.damaged_parts), (1, 1));
+}
+
+/// As in zeros, which are empty texts. The crate `mcap` reads no metadata of such a file.
+#[test]
+fn a_key_that_is_there_twice_is_damage() {
+    for zeros in [0, 8, 16] {
+        let pairs = [text("rate"), text("10 Hz"), vec![0; zeros]].concat();
+        let content = [&text("tokio_scip")[..], &claims(pairs.len() as u32), &pairs].concat();
+        let file = [MAGIC, &of_kind(0x0c, &content), &channel(), &event(0), &end()].concat();
+        let (is_damaged, mut out) = (zeros == 16, Vec::new());
+        let outcome = repair(Cursor::new(file), &mut out).unwrap();
+        assert_eq!((outcome.messages, outcome.damaged_parts), (1, u64::from(is_damaged)));
+        let summary = mcap::Summary::read(&out).unwrap().unwrap();
+        assert_eq!(summary.metadata_indexes.is_empty(), is_damaged);
+    }
+}
+
 #[test]
 fn a_far_length_is_not_read_ahead() {
     const MIB: usize = 1 << 20;

@@ -106,7 +106,6 @@ pub(crate) struct Channel<'a> {
 
 impl<'a> Channel<'a> {
     pub(crate) fn metadata(&self, key: &str) -> Option<&'a str> {
-        let pairs = map(&mut self.metadata.clone())?;
-        pairs.into_iter().find(|(known, _)| *known == key).map(|(_, value)| value)
+        map(&mut self.metadata.clone())?.remove(key)
     }
 }

@@ -4,6 +4,7 @@
 //! kinds of records that this version does not have, so the length in a record's head is proved by
 //! the lengths in its fields, or by what follows the record.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 use super::{
@@ -320,16 +321,18 @@ pub(super) fn is_well_formed(kind: u8, content: &[u8]) -> bool {
     }
 }
 
-pub(crate) fn parse_metadata(content: &[u8]) -> Option<(&str, Vec<(&str, &str)>)> {
+pub(crate) fn parse_metadata(content: &[u8]) -> Option<(&str, BTreeMap<&str, &str>)> {
     let mut fields = Fields(content);
     Some((fields.string()?, map(&mut fields)?))
 }
 
-pub(super) fn map<'a>(fields: &mut Fields<'a>) -> Option<Vec<(&'a str, &'a str)>> {
+/// Returns `None` for a key that is there twice, as in zeros: other readers refuse it, too.
+pub(super) fn map<'a>(fields: &mut Fields<'a>) -> Option<BTreeMap<&'a str, &'a str>> {
     let mut rest = Fields(fields.bytes()?);
-    let mut pairs = Vec::new();
+    let mut pairs = BTreeMap::new();
     while !rest.0.is_empty() {
-        pairs.push((rest.string()?, rest.string()?));
+        let before = pairs.insert(rest.string()?, rest.string()?);
+        before.is_none().then_some(())?;
     }
     Some(pairs)
 }

@@ -308,7 +308,10 @@ impl Records {
                 _ if at == 1 || at == extent.fields => is_known,
                 _ => self.kinds_to_find()?,
             };
-            self.window.begins(at, kinds)
+            // The last bytes of a message may look like an end of the data with more fields.
+            let is_end = (2..extent.end).contains(&at)
+                && self.window.bytes(0..at as usize + 1).ends_with(&[kind::DATA_END]);
+            Ok(self.window.begins(at, kinds)? && !is_end)
         })
     }
 
