@@ -16,8 +16,8 @@ const TOLERANCE: f64 = 0.01;
 /// Largest difference of a limit of the ranges from the sensor's, in millimetres. This crate writes
 /// limits that are a millimetre farther, other programs the sensor's own.
 const LIMIT_TOLERANCE: f64 = 1.5;
-/// Steps in a revolution of the sensors of Hokuyo: the last of a UST-10LX-H01 or -H02, of which every
-/// second step is also one of a UST.
+/// Steps in a revolution: of a URG, of a UTM or UST, and of a UST-10LX-H01 or -H02, whose steps are half
+/// as wide as a UST's.
 const RESOLUTIONS: [u16; 3] = [1024, 1440, 2880];
 /// Largest distance of 18 bits, in millimetres.
 const LONGEST: f64 = 262_143.0;

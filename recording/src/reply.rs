@@ -1,4 +1,4 @@
-//! [`RecordedReply`]: a reply of the sensor, and what it says. Which sensor it is, the metadata say, too.
+//! [`RecordedReply`]: a reply of the sensor, and what it says. Metadata take the place of one to `V`.
 
 use std::collections::BTreeMap;
 use std::ops::Range;

@@ -125,7 +125,7 @@ fn run(steps: &mpsc::Receiver<SyncStep>, interval: Duration, state: &Mutex<SyncS
     let mut next = Some(Instant::now());
     // An interval may be longer than the clock runs.
     let sync = |file: &mut Option<Sync>| sync(file, interval, state).checked_add(interval);
-    // Who waits for it goes on after the last sync.
+    // `finish` waits until this is dropped, after the last sync.
     let _done = loop {
         let rest = |due: Instant| due.saturating_duration_since(Instant::now());
         match steps.recv_timeout(due.map_or(Duration::MAX, rest)) {

@@ -37,9 +37,9 @@ const LONGEST_MOTOR_MEMORY: f64 = 20.0;
 /// Standard deviation of a clock's rate and of a motor's period, as parts of them.
 const RATE_DEVIATION: f64 = 0.002;
 const PERIOD_DEVIATION: f64 = 0.003;
-/// The latter of a motor that turns at another speed than the sensor tells: a UBG-04LX-F01, in 28 ms
-/// in place of 25.
-const UNTOLD_DEVIATION: f64 = 0.05;
+/// The same of a period that has proved wrong: a UBG-04LX-F01 tells 25 ms for a revolution, and takes
+/// 28.
+const WRONG_PERIOD_DEVIATION: f64 = 0.05;
 /// How far an arrival may be from the line of the clock, and a revolution from the line of the motor,
 /// without the uncertainty of the line.
 const GATE: f64 = 2.0e-3;
@@ -149,7 +149,7 @@ impl SensorClock {
             lines.motor.add(off, 1.0);
         } else {
             let slope = lines.motor.slope;
-            let deviation = if had_moved { UNTOLD_DEVIATION } else { PERIOD_DEVIATION };
+            let deviation = if had_moved { WRONG_PERIOD_DEVIATION } else { PERIOD_DEVIATION };
             lines.motor = Line::new(end, slope, deviation * slope);
             lines.has_moved = true;
         }

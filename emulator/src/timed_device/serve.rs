@@ -93,7 +93,7 @@ impl TimedDevice {
     fn take_effect(&mut self, at: Instant, effect: Effect) {
         match effect {
             Effect::None | Effect::Wait(_) | Effect::Scan => {}
-            // No scan is of a revolution with the laser off, nor with it off in part.
+            // A UTM or UST sends its latest revolution, which must have begun with the laser on.
             Effect::LaserOn => match (self.timing.pace, self.device.body.model) {
                 (Pace::PerRevolution, _) => self.scans_from = at + self.motor.period(),
                 (_, Model::Urg04lx | Model::Urg04lxUg01) => {}

@@ -50,8 +50,8 @@ impl Cell {
     fn add(&mut self, kind: Kind, seed: u64) {
         let mut random = ModelRandom(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
         let epoch = Instant::now();
-        let untold = if kind.is_odd { 0.13 } else { 0.004 };
-        let mut period = kind.revolution * random.between(1.0 - untold, 1.0 + untold);
+        let error = if kind.is_odd { 0.13 } else { 0.004 };
+        let mut period = kind.revolution * random.between(1.0 - error, 1.0 + error);
         let drift = random.pick(&[0.0, 0.001, -0.001]) / 3600.0;
         let rate = 1.0 + random.between(-0.002, 0.002);
         let mut offset = WRAP * random.below_one();
