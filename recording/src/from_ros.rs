@@ -16,8 +16,7 @@ const TOLERANCE: f64 = 0.01;
 /// Largest difference of a limit of the ranges from the sensor's, in millimetres. This crate writes
 /// limits that are a millimetre farther, other programs the sensor's own.
 const LIMIT_TOLERANCE: f64 = 1.5;
-/// Steps in a revolution: of a URG, of a UTM or UST, and of a UST-10LX-H01 or -H02, whose steps are half
-/// as wide as a UST's.
+/// Steps in a revolution: of a URG, of a UTM or UST, and of a UST-10LX-H01, -H02 or UXM-30LX-EW.
 const RESOLUTIONS: [u16; 3] = [1024, 1440, 2880];
 /// Largest distance of 18 bits, in millimetres.
 const LONGEST: f64 = 262_143.0;
@@ -104,14 +103,15 @@ fn limits(message: &LaserScan) -> Option<[f64; 2]> {
     (0.0..max).contains(&min).then_some([min, max]).filter(|_| max <= LONGEST)
 }
 
-/// Sensor of this number of steps in a revolution, as far as the limits of the ranges tell it. Step 0
-/// of every known sensor is at -135 degrees.
+/// Sensor of this number of steps in a revolution, as far as the limits of the ranges tell it. Only a
+/// UXM reaches farther than a UST's error code. No known sensor measures before -135 degrees.
 fn assumed(message: &LaserScan, resolution: u16) -> Option<Model> {
     let [min, max] = limits(message).unwrap_or([20.0, 60_000.0]);
     if resolution == 1024 && (has_limits(message, &Model::default())) {
         return Some(Model::default());
     }
     let (name, usual) = if resolution == 1024 { ("URG", 600) } else { ("UST", 2400) };
+    let name = if max > 65_533.0 { "UXM" } else { name };
     // Nominal, where the message has a measured time.
     let speed =
         revolution(message).map_or(usual, |time| (0.6 / time).round().max(1.0) as u32 * 100);

@@ -95,12 +95,12 @@ impl Geometry {
     }
 
     /// Interprets a value that the sensor sent. Only a value in [`distances`](Self::distances) is a
-    /// distance, and not if it is an error code of the model, or the longest distance of a URG, UBG or
-    /// UHG in SCIP 2: three recorded sensors of 11 m sent that for all that is farther.
+    /// distance, and not if it is an error code of the model. In SCIP 2 the longest distance is one of a
+    /// UTM, UST or UAM only: a UHG-08LX and a UXM-30LAH-EWA sent it for all that is farther.
     pub const fn measurement(&self, value: u32) -> Measurement {
-        let is_code = self.codes.meaning(value).is_some();
-        let most = self.max_distance;
-        if !is_code && value >= most && (value > most || matches!(self.codes, Codes::Urg)) {
+        let (is_code, most) = (self.codes.meaning(value).is_some(), self.max_distance);
+        let is_longest = value == most && matches!(self.codes, Codes::Urg | Codes::Unknown);
+        if !is_code && (is_longest || value > most) {
             Measurement::Saturated(value)
         } else if is_code || value < self.min_distance {
             Measurement::Error(ErrorCode { value, codes: self.codes })

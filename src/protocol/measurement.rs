@@ -17,7 +17,7 @@ pub enum Measurement {
     /// A value above all distances, which is no error code of the sensor's model. In SCIP 1.1 it is
     /// 4095, all twelve bits set: the protocol text ends the range at 4094, the sensors' firmware
     /// line at 4095. No capture of a real sensor has this value. In SCIP 2 it is also the longest
-    /// distance of a URG, UBG or UHG.
+    /// distance, except of a UTM, UST or UAM.
     Saturated(#[cfg_attr(feature = "serde", serde(skip))] u32),
 }
 

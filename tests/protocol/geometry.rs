@@ -95,7 +95,7 @@ fn check_codes(geometry: Geometry, infinite: &[u32], others: &[u32], greatest: u
         infinite.contains(&far) || infinite.is_empty() && far > greatest,
         "{geometry:?}: {far}"
     );
-    for value in (0..70_000).chain(99_990..100_010).chain([(1 << 18) - 1]) {
+    for value in (0..70_000).chain(99_990..100_010).chain([119_999, 120_000, (1 << 18) - 1]) {
         let found = geometry.measurement(value);
         assert_eq!(found.value(), value);
         let is_code = infinite.contains(&value) || others.contains(&value);
@@ -142,8 +142,11 @@ fn each_model_has_its_own_codes() {
     // An object that is too near, 65533, is nothing beyond the range.
     let uam = geometry("UAM-05LP-T301", [20, 40_000, 1440, 0, 1080, 540, 2000]);
     check_codes(uam, &[65_534], &[65_532, 65_533, 65_535], 40_000);
-    // A distance like any other.
-    check_codes(uxm(), &[], &[], 100_000);
+    // Users of a UXM-30LAH-EWA take 120,000 mm for nothing in range
+    // (RoadUserInteraction/div_datalogger_postprocess). 65533 is a distance like any other.
+    let far = geometry("UXM-30LAH-EWA", [23, 120_000, 2880, 0, 1520, 760, 1200]);
+    check_codes(far, &[], &[], 119_999);
+    check_codes(uxm(), &[], &[], 99_999);
     for (geometry, value, text) in [
         (Geometry::URG_04LX, 1, "error code 1: Reflected light has low intensity"),
         (urg(), 1, "error code 1: little light returned"),
@@ -263,16 +266,16 @@ fn a_scan_holds_values_of_18_bits() {
         let window = Window::degrees(-0.4..=0.4).unwrap();
         Scan::builder(window, values).geometry(uxm()).build()
     };
-    let scan = build(vec![99, 100_000, (1 << 18) - 1]).unwrap();
+    let scan = build(vec![99, 99_999, (1 << 18) - 1]).unwrap();
     assert_eq!((scan.window().start(), scan.len()), (379, 3));
-    assert!(scan.raw_values().eq([99, 100_000, 262_143]));
-    assert!(scan.distances().eq([None, Some(100_000), None]));
+    assert!(scan.raw_values().eq([99, 99_999, 262_143]));
+    assert!(scan.distances().eq([None, Some(99_999), None]));
     let ranges: Vec<f32> = scan.ranges().collect();
-    assert!(ranges[0].is_nan() && ranges[1..] == [100.0, f32::INFINITY]);
+    assert!(ranges[0].is_nan() && ranges[1..] == [99.999, f32::INFINITY]);
     assert_eq!((scan.range_min(), scan.range_max()), (0.099, 100.001));
     assert_eq!((scan.nearest().unwrap().step, scan.points().count()), (380, 1));
     assert!((scan.angle_min() + 0.25_f32.to_radians()).abs() < 1e-6);
-    let again = Scan::builder(Window::degrees(-0.4..=0.4).unwrap(), [99, 100_000, 262_143]);
+    let again = Scan::builder(Window::degrees(-0.4..=0.4).unwrap(), [99, 99_999, 262_143]);
     assert_eq!(again.like(&scan).build().unwrap(), scan);
     let error = build(vec![99, 1 << 18, 7]).unwrap_err();
     assert_eq!(error, ScanError::Value { index: 1, found: 1 << 18, max: 262_143 });
