@@ -9,7 +9,7 @@ use urg_emulator::{Emulator, Fault, Faults, Model};
 
 use super::program::{Emulated, Running, Scratch, failure, run};
 use super::recorded::{recording, recording_of};
-use super::web::Served;
+use super::web::{Served, on_tcp};
 
 /// Returns each step with its verdict.
 fn verdicts(report: &str) -> Vec<(&str, &str)> {
@@ -54,6 +54,18 @@ fn a_sensor_that_damages_replies_fails_the_check() {
     // The pseudo-terminal ignores the baud rate, so a faster one is no advice.
     let rate = output.stdout.lines().find(|line| line.contains(" rate ")).unwrap();
     assert!(rate.contains("polls brought no scan"), "{}", output.stdout);
+}
+
+#[test]
+fn no_cable_is_blamed_for_a_sensor_that_refuses() {
+    // A UST that knows itself to be out of order.
+    let faults = ["BM", "GD", "MD"].map(|command| (command, Fault::Status(b'L')));
+    let faults =
+        faults.into_iter().fold(Faults::none(), |all, (command, fault)| all.on(command, fault));
+    let (_runtime, port) = on_tcp(Emulator::builder().model(Model::Ust10lx).faults(faults).build());
+    let output = run(&format!("check {port} --duration 1s"), 1).stdout;
+    let polls = output.lines().find(|line| line.starts_with("FAILED  polls"));
+    assert!(polls.is_some_and(|line| line.ends_with(" refused")), "{output}");
 }
 
 #[test]

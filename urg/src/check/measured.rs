@@ -107,11 +107,11 @@ impl Measured {
 
     fn polls(&self) -> Finding {
         let (scans, lost) = (self.count(|stats| stats.scans), self.lost());
-        let polls = scans + lost;
+        let (polls, refused) = (scans + lost, self.count(|stats| stats.refused));
         let reasons = listed(&[
             (self.count(|stats| stats.timeouts), "unanswered in time"),
             (self.count(|stats| stats.malformed.total()), "malformed"),
-            (self.count(|stats| stats.refused), "refused"),
+            (refused, "refused"),
             (lost - self.failed(), "lost on the way"),
             (self.count(|stats| stats.disconnects), "times the link was lost"),
         ]);
@@ -128,8 +128,10 @@ impl Measured {
         };
         let mut text = format!("{scans} of {polls} answered with a whole scan");
         if !reasons.is_empty() {
+            // A sensor that mostly refuses is well connected.
+            let advice = if refused > polls / 2 { "" } else { "; check cable, plugs and power" };
             // Writing to a `String` is infallible.
-            let _ = write!(text, ": {reasons}; check cable, plugs and power");
+            let _ = write!(text, ": {reasons}{advice}");
         }
         Finding::new("polls", verdict, text)
     }
