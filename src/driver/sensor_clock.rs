@@ -63,6 +63,8 @@ const FIRST: u32 = 20;
 #[derive(Debug, Clone)]
 pub(crate) struct SensorClock {
     origin: Instant,
+    /// When the stream of the latest scan began.
+    begun: Instant,
     /// Seconds of a revolution, as the sensor tells.
     nominal: f64,
     lines: Option<Lines>,
@@ -95,18 +97,24 @@ impl SensorClock {
     /// Creates the clock of a sensor whose revolution nominally takes this long.
     pub(crate) fn new(nominal: Duration) -> Self {
         let nominal = nominal.as_secs_f64();
-        Self { origin: Instant::now(), nominal, lines: None, jumps: 0 }
+        Self { origin: Instant::now(), begun: Instant::now(), nominal, lines: None, jumps: 0 }
     }
 
     /// Adds a scan whose first byte arrived at `arrived`, with this time of the sensor's clock, of a
-    /// stream that began at `begun`. Returns when its revolution ended.
+    /// stream that began at `begun` and has a scan in `turns` revolutions. Returns when its revolution
+    /// ended.
     pub(crate) fn observe(
         &mut self,
         clock: Duration,
         wrap: Duration,
         arrived: Instant,
         begun: Instant,
+        turns: u32,
     ) -> Revolution {
+        // A motor at another speed than told turns four times in what seem five revolutions. Before the
+        // first scan of a stream there may be any number of them.
+        let is_first = std::mem::replace(&mut self.begun, begun) < begun;
+        let step = if is_first { 1.0 } else { f64::from(turns) };
         let longest = arrived.saturating_duration_since(begun).as_secs_f64() + self.nominal;
         let arrived = arrived.saturating_duration_since(self.origin).as_secs_f64();
         let (clock, wrap) = (clock.as_secs_f64(), wrap.as_secs_f64());
@@ -141,7 +149,7 @@ impl SensorClock {
         }
         // By the first line.
         let end = lines.arrivals.value;
-        let turns = ((end - lines.motor.value) / lines.motor.slope).round();
+        let turns = ((end - lines.motor.value) / (step * lines.motor.slope)).round() * step;
         let forgotten = (1.0 / MOTOR_MEMORY).max(passed / LONGEST_MOTOR_MEMORY);
         lines.motor.advance(turns, forgotten);
         let off = end - lines.motor.value;

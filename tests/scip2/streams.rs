@@ -71,6 +71,29 @@ async fn a_fast_or_slow_motor_costs_a_stream_of_its_rate_no_scan() {
     }
 }
 
+/// A UBG-04LX-F01 says 2,400 rpm, and turns in 28 ms: every third scan is enough, and each fourth is not.
+#[tokio::test(start_paused = true)]
+async fn a_stream_has_its_rate_although_the_sensor_tells_another_speed() {
+    for (model, micros, hz) in [
+        (Model::Utm30lx, 28_000, 10.0),
+        (Model::Utm30lx, 28_000, 20.0),
+        (Model::Ust10lx, 28_000, 13.0),
+        (Model::Urg04lxUg01, 111_000, 2.0),
+        (Model::Ust10lx, 22_500, 10.0),
+    ] {
+        let emulator = numbered(model).revolution(Duration::from_micros(micros)).build();
+        let sensor = builder().depth(64).connect(emulator.clone()).await.unwrap();
+        let mut stream = sensor.scans(Window::DETECTION, Rate::hz(hz)).await.unwrap();
+        revolutions(&mut stream, 100).await;
+        let (start, commands, lost) = (Instant::now(), count(&emulator, "MD"), sensor.stats().lost);
+        revolutions(&mut stream, 500).await;
+        let reached = 500.0 / start.elapsed().as_secs_f64();
+        assert!((reached / hz - 1.0).abs() < 0.01, "{model:?} {micros} us: {reached} of {hz} Hz");
+        assert_eq!(count(&emulator, "MD"), commands, "{model:?} {micros} us");
+        assert_eq!(sensor.stats().lost, lost, "{model:?} {micros} us");
+    }
+}
+
 /// Scans come a little before or after the points of a slow stream's grid.
 #[tokio::test(start_paused = true)]
 async fn a_slow_stream_beside_a_fast_one_has_every_nth_scan() {

@@ -145,7 +145,7 @@ impl Service<'_> {
                     continue 'turns;
                 }
             }
-            let wake = earlier(due, earlier(probe, self.laser.retry_at()));
+            let wake = [due, probe, self.laser.retry_at()].into_iter().flatten().min();
             poll_fn(|cx| {
                 if let Poll::Ready(outcome) = session.poll_unasked(cx) {
                     return Poll::Ready(outcome.map_err(Stop::from));
@@ -228,13 +228,6 @@ impl Service<'_> {
         if std::mem::replace(&mut self.streaming, now) != now {
             self.shared.link.set_streaming(now);
         }
-    }
-}
-
-fn earlier(one: Option<Instant>, other: Option<Instant>) -> Option<Instant> {
-    match (one, other) {
-        (Some(one), Some(other)) => Some(one.min(other)),
-        (one, other) => one.or(other),
     }
 }
 

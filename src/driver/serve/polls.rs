@@ -46,7 +46,7 @@ impl Service<'_> {
         session: &mut Session,
         now: Instant,
     ) -> Result<bool, Stop> {
-        if session.has_streams()
+        if session.streams().is_some()
             && let Some(is_served) = rarely(|| self.serve_stream(session)).await?
         {
             return Ok(is_served);

@@ -9,6 +9,7 @@ use tokio::task::coop::consume_budget;
 use tokio::time::Instant;
 
 use super::super::failure::ExchangeError;
+use super::super::motor_clock::Revolution;
 use super::super::schedule::DuePoll;
 use super::super::session::Session;
 use super::{Service, Stop, command_error, ignore_command_errors};
@@ -79,8 +80,8 @@ impl Service<'_> {
     }
 
     /// Delivers what has come of the stream: scans and errors. Returns false if there is nothing now.
-    /// Ends the stream if no schedule needs it, and restarts it with fewer scans if they are enough for
-    /// all schedules.
+    /// Ends the stream if no schedule needs it, and restarts it if all schedules need fewer scans, or
+    /// one needs more.
     pub(super) async fn deliver_streamed(&mut self, session: &mut Session) -> Result<bool, Stop> {
         // A sensor that sends without a pause must not keep other tasks from running.
         consume_budget().await;
@@ -95,7 +96,7 @@ impl Service<'_> {
         let Some(mut streams) = session.streams().filter(|_| may_change) else { return Ok(true) };
         let outcome = match self.schedules.stream(self.scan_time) {
             None => streams.end_stream().await,
-            Some(wish) if self.streamed < Some(wish.skipped) => {
+            Some(wish) if self.streamed != Some(wish.skipped) && streams.can_stream(wish) => {
                 self.streamed = Some(wish.skipped);
                 streams.stream(wish).await
             }
@@ -115,8 +116,12 @@ impl Service<'_> {
                     continue;
                 }
             };
+            let Revolution { lateness, period, .. } = streamed.revolution();
+            // The motor may turn at another speed than the sensor tells.
+            let is_other = |it: &Duration| it.abs_diff(self.scan_time) > self.scan_time / 50;
+            self.scan_time = period.filter(is_other).unwrap_or(self.scan_time);
             // After a pause of the host several arrive at once, and each belongs to its own poll.
-            for poll in self.take_streamed(streamed.lateness()) {
+            for poll in self.take_streamed(lateness.unwrap_or_default()) {
                 self.shared.counters.count_poll();
                 // It may have been sent before the stream had this window.
                 if let Some(acquired) = streamed.cut(poll.window, &self.geometry) {

@@ -170,12 +170,7 @@ impl Session {
         self.scip2().map_or(Poll::Pending, |mut scip2| scip2.poll_streamed(cx))
     }
 
-    /// Returns true if the protocol has streams: scans that the sensor sends without being asked again.
-    pub(crate) fn has_streams(&self) -> bool {
-        self.scip2.is_some()
-    }
-
-    /// Streams of the sensor, if the protocol has them.
+    /// Streams of the sensor, if the protocol has them: scans that it sends without being asked again.
     pub(crate) fn streams(&mut self) -> Option<Scip2<'_>> {
         self.scip2()
     }

@@ -11,6 +11,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use super::super::super::failure::{ExchangeError, LinkError};
+use super::super::super::motor_clock::Revolution;
 use super::super::super::schedule::StreamWish;
 use super::super::super::transport::{Expected, ReplyTimes};
 use super::super::errors::{record_malformed, record_silence};
@@ -291,8 +292,8 @@ impl State {
         let (window, stamp) = (running.window, scan.stamp);
         let mut acquired = acquired(scan, times);
         if let Some(told) = acquired.told.as_deref_mut().filter(|_| !times.is_replayed) {
-            told.revolution =
-                self.clock.observe(stamp.since_zero(), WRAP, times.began, running.begun);
+            let (stamp, turns) = (stamp.since_zero(), u32::from(running.skipped) + 1);
+            told.revolution = self.clock.observe(stamp, WRAP, times.began, running.begun, turns);
             told.motor = self.clock.stats();
         }
         self.waiting.push_back(Ok(Streamed { window, acquired }));
@@ -328,10 +329,9 @@ fn between(one: Stamp, later: Stamp) -> Duration {
 }
 
 impl Streamed {
-    /// How late it came, as far as the sensor's clock tells.
-    pub(crate) fn lateness(&self) -> Duration {
-        let told = self.acquired.told.as_ref();
-        told.and_then(|told| told.revolution.lateness).unwrap_or_default()
+    /// What the sensor's clock tells of its revolution.
+    pub(crate) fn revolution(&self) -> Revolution {
+        self.acquired.told.as_ref().map(|told| told.revolution).unwrap_or_default()
     }
 
     /// Part of the scan in `window`, if it holds that.
