@@ -267,7 +267,8 @@ impl State {
     fn add_scan(&mut self, running: Running, scan: Scan, times: ReplyTimes, shared: &Shared) {
         let latest = self.latest.replace((scan.stamp, times.received));
         if let Some((stamp, received)) = latest {
-            let revolution = self.geometry.revolution();
+            let told = self.geometry.revolution();
+            let revolution = self.clock.stats().map_or(told, |motor| motor.revolution);
             let since = times.began.duration_since(received);
             let is_soon = since < revolution / 2;
             // One copy may come late. More than one are scans of a clock that stands still.
