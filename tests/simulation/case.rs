@@ -35,6 +35,8 @@ pub(crate) struct Case {
     pub(crate) doubles: bool,
     /// True if the sensor's clock jumps: no stamp is compared then.
     pub(crate) jumps: bool,
+    /// By how much a revolution is longer or shorter than the sensor tells.
+    pub(crate) odd_by: Duration,
     /// True if commands may reach the sensor in part.
     pub(crate) torn: bool,
     /// True if the driver may have to send a command before a reply has ended.
@@ -54,6 +56,10 @@ impl std::fmt::Debug for Case {
             "{model:?} in {protocol}, {speed:?}, boots {boot:?}, {faults:?}, {events:?}, {script:?}"
         )
     }
+}
+
+fn is_fast(model: Model) -> bool {
+    matches!(model, Model::Utm30lx | Model::Ust10lx)
 }
 
 /// Events besides faults of replies.
@@ -82,12 +88,17 @@ impl Case {
             Some(speed) => builder.baud_rate(speed),
             None => builder.usb(),
         };
+        let told = Duration::from_millis(if is_fast(model) { 25 } else { 100 });
+        let mut revolution = told;
         let empty = [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds];
         let builder = match protocol {
             Protocol::Scip2 => {
                 let faster = (random.below(4001) as f64 - 2000.0) * 1e-6;
                 let clock = random.ms(1 << 24);
-                builder.firmware(Firmware::V31).latency(SCIP2_LATENCY).clock(clock, faster)
+                let per_mille = if random.once_in(3) { 870 + random.below(261) } else { 1000 };
+                revolution = told * per_mille as u32 / 1000;
+                let builder = builder.firmware(Firmware::V31).latency(SCIP2_LATENCY);
+                builder.clock(clock, faster).revolution(revolution)
             }
             _ => builder
                 .firmware(*random.pick(&[Firmware::Text, Firmware::V3]))
@@ -112,6 +123,7 @@ impl Case {
             refuses: false,
             doubles: false,
             jumps: false,
+            odd_by: told.abs_diff(revolution),
             torn: false,
             overlaps: false,
             lingers: Duration::ZERO,
@@ -158,7 +170,7 @@ impl Case {
 
     /// Returns true if it sends 40 scans a second.
     fn is_fast(&self) -> bool {
-        matches!(self.model, Model::Utm30lx | Model::Ust10lx)
+        is_fast(self.model)
     }
 
     /// Upper bound of the bytes of a reply.
