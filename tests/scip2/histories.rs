@@ -1,6 +1,7 @@
 //! Random histories of a sensor of SCIP 2: faults of each kind, power cuts, pulled cables, streams
-//! that other programs left, laser settings, single scans beside streams. Every scan that arrives is
-//! one that the sensor measured, whole and in order, and after the last fault scans come again.
+//! that other programs left, laser settings, single scans beside streams, motors that turn at another
+//! speed than the sensor tells. Every scan that arrives is one that the sensor measured, whole and in
+//! order, and after the last fault scans come again.
 //!
 //! `SCIP_SCIP2=2000 cargo test --test it scip2` takes a minute; `SCIP_SCIP2_FIRST=2000` draws others.
 
@@ -16,7 +17,9 @@ use crate::common::builder;
 use crate::common::limit::limit;
 use crate::common::random::{Random, seeds};
 
-const MODELS: [Model; 4] = [Model::Urg04lx, Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx];
+/// Models, with the milliseconds that they tell for a revolution.
+const MODELS: [(Model, u32); 4] =
+    [(Model::Urg04lx, 100), (Model::Urg04lxUg01, 100), (Model::Utm30lx, 25), (Model::Ust10lx, 25)];
 /// Longest time until scans come again.
 const RECOVERY: Duration = Duration::from_secs(12);
 
@@ -41,7 +44,7 @@ fn number(scan: &Scan, seed: u64) -> u64 {
 }
 
 /// Sensor that shows the number of each revolution, counted over all power-ups.
-fn counting(model: Model) -> Emulator {
+fn counting(model: Model, revolution: Duration) -> Emulator {
     let (mut before, mut powered_at) = (0, None);
     let world = move |time: WorldTime, values: &mut Values| {
         // To within a revolution.
@@ -55,7 +58,7 @@ fn counting(model: Model) -> Emulator {
         }
     };
     let builder = Emulator::builder().model(model).world(world);
-    builder.firmware(Firmware::V31).build()
+    builder.firmware(Firmware::V31).revolution(revolution).build()
 }
 
 /// A stream, and what it delivered last.
@@ -97,8 +100,9 @@ fn window(random: &mut Random) -> Window {
 async fn play(seed: u64) {
     limit();
     let mut random = Random::new(seed);
-    let model = *random.pick(&MODELS);
-    let emulator = counting(model);
+    let (model, told) = *random.pick(&MODELS);
+    let per_mille = if random.once_in(2) { 870 + random.below(261) as u32 } else { 1000 };
+    let emulator = counting(model, Duration::from_micros((told * per_mille).into()));
     // A URG-04LX begins in SCIP 1.1, which has no sums.
     let waiting = builder().depth(1000).wait_for_sensor(true).protocol(Protocol::Scip2);
     let sensor: Sensor = waiting.connect(emulator.clone()).await.unwrap();
