@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use mcap::records::{Metadata, Record};
+use urg_recording::Compression;
 
 use super::foreign::letters;
 use crate::raw::MAGIC;
@@ -138,6 +139,20 @@ pub(super) fn plain(file: &[u8]) -> Cow<'_, [u8]> {
 #[cfg(not(feature = "compression"))]
 pub(super) fn plain(file: &[u8]) -> Cow<'_, [u8]> {
     file.into()
+}
+
+/// Returns a complete file without compression as one that has it.
+#[cfg(feature = "compression")]
+pub(super) fn compressed(file: &[u8], compression: Compression) -> Vec<u8> {
+    match compression {
+        Compression::Plain => file.to_vec(),
+        _ => crate::recompress::compressed(file, &compression.to_string()),
+    }
+}
+
+#[cfg(not(feature = "compression"))]
+pub(super) fn compressed(file: &[u8], _compression: Compression) -> Vec<u8> {
+    file.to_vec()
 }
 
 /// Records of a chunk without its compression.
