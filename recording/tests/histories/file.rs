@@ -265,6 +265,8 @@ pub(super) struct Layout {
     known: Vec<usize>,
     /// Places that no checksum covers and whose damage may change a message.
     unproved: Vec<Range<usize>>,
+    /// Message indexes.
+    indexes: Vec<Range<usize>>,
     /// Chunks, and where their records end.
     pub(super) chunks: Vec<(Range<usize>, usize)>,
     pub(super) summary: Range<usize>,
@@ -281,6 +283,7 @@ impl Layout {
             boundaries: vec![MAGIC.len()],
             known: Vec::new(),
             unproved: Vec::new(),
+            indexes: Vec::new(),
             chunks: Vec::new(),
             summary: file.len()..file.len(),
             has_sum: false,
@@ -339,6 +342,9 @@ impl Layout {
                         || kind == 0x07 && content.len() != 6 + usize::from(content[2]);
                     if matches!(kind, 0x03..=0x05 | 0x10..) || is_grown_index() {
                         layout.unproved.push(place.clone());
+                    }
+                    if kind == 0x07 {
+                        layout.indexes.push(place.clone());
                     }
                     layout.add(kind, content, vec![place], &mut messages);
                 }
@@ -409,17 +415,22 @@ impl Layout {
 
     /// Returns true if nothing shows that there is a chunk: damage has struck its head twice, or its head
     /// and the record before it. Before the first chunk, any record may become a message, of a file
-    /// without chunks.
-    pub(super) fn hides_chunk(&self, struck: &[Range<usize>]) -> bool {
+    /// without chunks. A message index may become one, too, if it is struck twice: its kind, and the
+    /// fields that show what it was.
+    pub(super) fn hides_kind(&self, struck: &[Range<usize>]) -> bool {
         let count = |place: Range<usize>| {
             struck.iter().filter(|hit| hit.start < place.end && place.start < hit.end).count()
         };
-        self.chunks.iter().enumerate().any(|(number, (chunk, _))| {
-            let head = chunk.start..chunk.start + CHUNK_HEAD;
-            let before = self.boundaries.iter().rev().find(|edge| **edge < chunk.start);
-            let before = before.filter(|_| number > 0).map_or(0, |edge| *edge);
-            count(head.clone()) > 0 && count(before..head.end) > 1
-        })
+        let is_hidden = |index: &Range<usize>| {
+            count(index.start..index.start + 1) > 0 && count(index.clone()) > 1
+        };
+        self.indexes.iter().any(is_hidden)
+            || self.chunks.iter().enumerate().any(|(number, (chunk, _))| {
+                let head = chunk.start..chunk.start + CHUNK_HEAD;
+                let before = self.boundaries.iter().rev().find(|edge| **edge < chunk.start);
+                let before = before.filter(|_| number > 0).map_or(0, |edge| *edge);
+                count(head.clone()) > 0 && count(before..head.end) > 1
+            })
     }
 
     /// Metadata that must survive.

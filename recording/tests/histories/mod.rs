@@ -559,6 +559,8 @@ impl History {
         places.sort_unstable_by_key(|place| std::cmp::Reverse(*place));
         let mut file = whole.clone();
         let (mut hits, mut struck) = (Vec::<Range<usize>>::new(), Vec::<Range<usize>>::new());
+        // Number of bytes that each chunk has lost or gained, by its place.
+        let mut moved: BTreeMap<usize, usize> = BTreeMap::new();
         for at in places {
             // A damage after it took the rest.
             if at + 9 > file.bytes.len() {
@@ -568,7 +570,9 @@ impl History {
             let kind = random.below(6);
             let widths = [1, 1 + random.below(3), 1 + random.below(40), 1 + random.below(600)];
             let width = *random.pick(&widths);
-            let end = (at + width as usize).min(file.bytes.len());
+            // What lies after an earlier damage has another place now.
+            let earlier = struck.last().map_or(file.bytes.len(), |hit| hit.start.max(at + 1));
+            let end = (at + width as usize).min(earlier).min(file.bytes.len());
             match kind {
                 0 => file.bytes[at..end].fill_with(|| random.next() as u8),
                 1 => file.bytes[at] ^= 1 << random.below(8),
@@ -578,7 +582,11 @@ impl History {
                         true => random.below(0x12) as u8,
                         false => random.next() as u8,
                     });
-                    let stray: Vec<u8> = stray.collect();
+                    let mut stray: Vec<u8> = stray.collect();
+                    // It would take the place of a kind that no search finds.
+                    if let Some(last) = stray.last_mut().filter(|_| whole.bytes[at] >= 0x10) {
+                        *last |= 0x10;
+                    }
                     file.bytes.splice(at..at, stray);
                 }
                 // The byte before would take the place of the kind.
@@ -611,13 +619,18 @@ impl History {
                     let is_around =
                         |chunk: &&(Range<usize>, usize)| chunk.0.start < at && at < chunk.0.end;
                     let chunk = layout.chunks.iter().find(is_around);
+                    let width = chunk.map_or(width, |(chunk, _)| {
+                        let moved = moved.entry(chunk.start).or_default();
+                        *moved += width;
+                        *moved
+                    });
                     for end_of in record.into_iter().chain(chunk.map(|(chunk, _)| chunk.end)) {
                         if kind == 3 {
                             hits.extend([end_of..end_of + width, end..end + width]);
                         }
                     }
                     if let Some((chunk, records)) = chunk {
-                        hits.push(records - width..*records);
+                        hits.push(records.saturating_sub(width)..*records);
                         // Nothing shows the end of one with more fields.
                         if *records < chunk.end {
                             hits.push(chunk.clone());
@@ -626,7 +639,7 @@ impl History {
                 }
             }
         }
-        let mut is_loose = layout.is_unproved(is_in(&hits)) || layout.hides_chunk(&struck);
+        let mut is_loose = layout.is_unproved(is_in(&hits)) || layout.hides_kind(&struck);
         let struck_end = struck.iter().map(|hit| hit.end).max().unwrap_or(MAGIC.len());
         if let Some(rest @ 1..) = whole.bytes.len().checked_sub(struck_end)
             && random.once_in(4)
@@ -635,10 +648,10 @@ impl History {
             let end = struck_end + random.below(rest as u64) as usize;
             file.bytes.truncate((file.bytes.len() + end).saturating_sub(whole.bytes.len()));
             hits.push(end..usize::MAX);
-            is_loose |= layout
-                .chunks
-                .iter()
-                .any(|(chunk, _)| chunk.contains(&end) && is_in(&struck)(chunk));
+            is_loose |= layout.chunks.iter().any(|(chunk, _)| {
+                let moved = moved.get(&chunk.start).unwrap_or(&0);
+                (chunk.start..chunk.end + moved).contains(&end) && is_in(&struck)(chunk)
+            });
         }
         let is_hit = is_in(&hits);
         // The footer has the position of the index.
