@@ -340,6 +340,52 @@ fn a_message_before_a_cut_off_one_is_found() {
     }
 }
 
+/// Returns the number of messages, and the places of damaged parts.
+fn repaired(file: &[&[u8]]) -> (u64, Vec<u64>) {
+    let outcome = repair(Cursor::new(file.concat()), &mut std::io::sink()).unwrap();
+    (outcome.messages, outcome.damaged_at)
+}
+
+#[test]
+fn a_message_before_a_cut_off_index_is_found() {
+    let (event, stray) = (event(0), [0; 1]);
+    let data = [MAGIC, &channel(), &event, &stray, &event, &of_kind(0x0f, &[0; 4])].concat();
+    for length in 0..channel().len() {
+        let (damaged, events, is_truncated) = read(&[&data, &channel()[..length]].concat());
+        assert_eq!((damaged.len(), events, is_truncated), (1, 2, true), "{length}");
+    }
+}
+
+#[test]
+fn a_record_in_a_message_is_its_data() {
+    let (event, damage) = (event(0), [0xee; 40]);
+    for data in [metadata(), channel(), of_kind(0x07, &[0; 6])] {
+        let message = of_kind(0x05, &[&[0; 22], &data[..]].concat());
+        let start = [MAGIC, &channel(), &message].concat();
+        let place = (start.len() + 2 * event.len()) as u64;
+        let two = event.repeat(2);
+        assert_eq!(repaired(&[&start, &two, &damage, &two, &end()]), (5, vec![place]));
+        for length in 0..event.len() {
+            assert_eq!(repaired(&[&start, &event[..length]]), (1, vec![]), "{length}");
+        }
+        let chunk = chunk_of(&[&channel(), &message, &two, &damage[..], &two].concat());
+        assert_eq!(repaired(&[MAGIC, &chunk, &end()]), (5, vec![8]));
+    }
+}
+
+#[test]
+fn numbers_in_a_message_are_no_metadata() {
+    // A name and no pairs, or no name and a pair of two empty texts.
+    for (name, pairs) in [(&[7; 7][..], &[][..]), (&[], &[0; 8])] {
+        let lengths = [name, pairs].map(|text| claims(text.len() as u32));
+        let numbers = of_kind(0x0c, &[&lengths[0], name, &lengths[1], pairs].concat());
+        let message = of_kind(0x05, &[&[0; 22], &numbers[..]].concat());
+        let start = [MAGIC, &channel(), &message].concat();
+        let found = repaired(&[&start, &[0], &event(0).repeat(3), &end()]);
+        assert_eq!(found, (4, vec![start.len() as u64]), "{numbers:?}");
+    }
+}
+
 #[test]
 fn a_chunk_between_damages_is_found() {
     let chunk = chunk_of(&[channel(), event(0)].concat());

@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use super::{
-    CHUNK_HEAD, Compression, Fields, MAX_CHUNK_BYTES, MAX_RECORD_BYTES, MessageHeader, RECORD_HEAD,
-    kind,
+    CHUNK_HEAD, Compression, Fields, MAGIC, MAX_CHUNK_BYTES, MAX_RECORD_BYTES, MessageHeader,
+    RECORD_HEAD, kind,
 };
 
 /// Longest name of a compression.
@@ -31,7 +31,8 @@ pub(super) struct Extent {
     /// End of the fields that this version of the format has.
     pub(super) fields: u64,
     pub(super) end: u64,
-    /// True if its fields count any bytes. Zeros look like a record that counts none.
+    /// True if its fields count any bytes, and its name begins with a letter or sign. Zeros look like a
+    /// record that counts none, and small numbers like one with another name.
     counts: bool,
     /// True for a chunk whose lengths agree: it begins here, even with more fields after its records.
     pub(super) is_chunk: bool,
@@ -122,6 +123,9 @@ pub(super) fn measure(bytes: &[u8], after: After) -> Result<Option<Extent>, usiz
         counts |= number != [0; 8];
         fields = (fields + width as u64 + after).saturating_add(u64::from_le_bytes(number));
     }
+    let name = Fields(bytes.get(RECORD_HEAD + numbers..).unwrap_or_default()).bytes();
+    let first = name.and_then(<[u8]>::first);
+    counts &= texts < 2 || first.is_some_and(|byte| !byte.is_ascii_control());
     let is_chunk = kind == kind::CHUNK;
     let needed = end.min(MAX_CHUNK_HEAD as u64) as usize;
     if !is_chunk && bytes.len() < needed && after == After::More {
@@ -244,7 +248,10 @@ fn begins_before(
     let extent = measure(bytes.get(at..).unwrap_or_default(), after).map_err(|count| at + count)?;
     match extent {
         None => Ok(false),
-        Some(extent) if extent.is_endless() => Ok(after != After::Nothing && followers < FOLLOWERS),
+        // Not at the end of a whole file.
+        Some(extent) if extent.is_endless() => {
+            Ok(after != After::Nothing && followers < FOLLOWERS && !bytes.ends_with(&MAGIC))
+        }
         Some(extent) if !kinds(extent.kind) => Ok(false),
         // Up to two bytes before a chunk, its lengths agree, too.
         Some(extent) if extent.is_chunk && !extent.is_proved() => {
@@ -256,11 +263,8 @@ fn begins_before(
         Some(_) if followers == 0 => Ok(true),
         Some(extent) => {
             let next = at as u64 + extent.end;
-            let after = match after {
-                After::More => After::More,
-                _ if extent.kind == kind::MESSAGE => after,
-                _ => After::Nothing,
-            };
+            let may_be_cut = matches!(extent.kind, kind::MESSAGE | kind::DATA_END);
+            let after = if may_be_cut || after == After::More { after } else { After::Nothing };
             let followers = if extent.is_proved() { 0 } else { followers - 1 };
             begins_before(bytes, after, next, |_| true, followers)
         }
@@ -268,7 +272,8 @@ fn begins_before(
 }
 
 /// Returns where the record after this one begins, whose lengths do not prove its end. If that is not
-/// at its end, its length is wrong, or its first byte is a stray one. Searches as far as `known`.
+/// at its end, its length is wrong, or its first byte is a stray one. Searches as far as `known`. The
+/// end is right if `begins` finds this record itself, at 0.
 pub(super) fn next_start<E>(
     extent: &Extent,
     known: u64,
@@ -282,11 +287,10 @@ pub(super) fn next_start<E>(
         _ if extent.is_chunk => extent.fields,
         _ => 1,
     };
-    let ends = (more..extent.end.min(known)).chain([extent.end]);
+    let ends = (more..extent.end.min(known)).chain([0]);
     for at in std::iter::once(1).chain(ends).chain(1..extent.end.min(known)) {
-        // Only a whole record may end where the file does.
-        if (at < known || at == extent.end) && begins(at)? {
-            return Ok(at);
+        if at < known && begins(at)? {
+            return Ok(if at == 0 { extent.end } else { at });
         }
     }
     Ok(extent.end)

@@ -88,7 +88,7 @@ impl Records {
                 Some(extent) if extent.is_endless() && is_cut => continue,
                 Some(extent) if self.chunk.is_proved || extent.is_proved() => extent.end,
                 Some(extent) => {
-                    let kinds = |at| if at == extent.end { |_| true } else { is_known };
+                    let kinds = |at| if at == 0 { |_| true } else { is_known };
                     next_start(extent, known, |at| begins(at, kinds(at))).unwrap_or(known)
                 }
                 None => {

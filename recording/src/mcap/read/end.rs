@@ -48,7 +48,7 @@ impl Records {
         if !bytes.ends_with(&[MAGIC, MAGIC].concat()) {
             return Ok(false);
         }
-        self.window.checksum = None;
+        (self.window.checksum, self.has_chunks) = (None, None);
         self.window.skip(JOINED as u64)
     }
 }

@@ -292,11 +292,7 @@ impl Records {
             return Err(error);
         }
         self.is_truncated |= !is_whole;
-        let is_joined = self.skip_to_joined()?;
-        if is_joined {
-            self.has_chunks = None;
-        }
-        Ok(is_joined)
+        self.skip_to_joined()
     }
 
     /// Returns where the record after this one begins, counted from here.
@@ -304,7 +300,7 @@ impl Records {
         let known = self.window.peek(extent.end.min(MAX_CHUNK_BYTES) as usize)?.len() as u64;
         next_start(extent, known, |at| {
             let kinds = match at {
-                _ if at == extent.end => |_| true,
+                0 => |_| true,
                 _ if at == 1 || at == extent.fields => is_known,
                 _ => self.kinds_to_find()?,
             };
