@@ -37,9 +37,9 @@ const LONGEST_MOTOR_MEMORY: f64 = 20.0;
 /// Standard deviation of a clock's rate and of a motor's period, as parts of them.
 const RATE_DEVIATION: f64 = 0.002;
 const PERIOD_DEVIATION: f64 = 0.003;
-/// The same of a period that has proved wrong: a UBG-04LX-F01 tells 25 ms for a revolution, and takes
+/// The same of the period that a sensor tells: a UBG-04LX-F01 tells 25 ms for a revolution, and takes
 /// 28.
-const WRONG_PERIOD_DEVIATION: f64 = 0.05;
+const TOLD_PERIOD_DEVIATION: f64 = 0.05;
 /// How far an arrival may be from the line of the clock, and a revolution from the line of the motor,
 /// without the uncertainty of the line.
 const GATE: f64 = 2.0e-3;
@@ -100,9 +100,8 @@ impl SensorClock {
         Self { origin: Instant::now(), begun: Instant::now(), nominal, lines: None, jumps: 0 }
     }
 
-    /// Adds a scan whose first byte arrived at `arrived`, with this time of the sensor's clock, of a
-    /// stream that began at `begun` and has a scan in `turns` revolutions. Returns when its revolution
-    /// ended.
+    /// Adds a scan of a stream that began at `begun` and has one in `turns` revolutions, with the sensor's
+    /// clock and the arrival of its first byte. Returns when its revolution ended.
     pub(crate) fn observe(
         &mut self,
         clock: Duration,
@@ -120,7 +119,6 @@ impl SensorClock {
         let (clock, wrap) = (clock.as_secs_f64(), wrap.as_secs_f64());
         let Some(mut lines) = self.lines else { return self.start(clock, arrived) };
         let passed = (clock - lines.clock).rem_euclid(wrap);
-        lines.clock = clock;
         lines.arrivals.advance(passed, 1.0 / MEMORY);
         let late = arrived - lines.arrivals.value;
         let deviation = lines.arrivals.deviation();
@@ -133,7 +131,7 @@ impl SensorClock {
         lines.age += passed;
         let is_at_once = late < lines.late - passed / 2.0;
         let had_moved = lines.has_moved;
-        lines.late = late;
+        (lines.clock, lines.late) = (clock, late);
         // Not a number if rounding has made a determinant negative.
         if gate.is_nan() || late < -gate || passed > LONGEST_PAUSE || is_lost {
             self.jumps += u64::from(lines.is_used());
@@ -149,24 +147,30 @@ impl SensorClock {
         }
         // By the first line.
         let end = lines.arrivals.value;
-        let turns = ((end - lines.motor.value) / (step * lines.motor.slope)).round() * step;
+        let unit = step * lines.motor.slope;
+        let turns = ((end - lines.motor.value) / unit).round() * step;
         let forgotten = (1.0 / MOTOR_MEMORY).max(passed / LONGEST_MOTOR_MEMORY);
         lines.motor.advance(turns, forgotten);
         let off = end - lines.motor.value;
-        if off.abs() <= MOTOR_GATE + 3.0 * lines.motor.deviation() {
+        let motor_gate = MOTOR_GATE + 3.0 * lines.motor.deviation();
+        if motor_gate > unit / 2.0 {
+            // Another number of revolutions would fit as well.
+            lines.motor.jump(end, 1);
+            lines.has_moved = true;
+        } else if off.abs() <= motor_gate {
             lines.motor.add(off, 1.0);
         } else {
-            let slope = lines.motor.slope;
-            let deviation = if had_moved { WRONG_PERIOD_DEVIATION } else { PERIOD_DEVIATION };
+            let slope = if had_moved { self.nominal } else { lines.motor.slope };
+            let deviation = if had_moved { TOLD_PERIOD_DEVIATION } else { PERIOD_DEVIATION };
             lines.motor = Line::new(end, slope, deviation * slope);
             lines.has_moved = true;
         }
-        if late > gate && !lines.is_used() {
-            lines.count = lines.count.saturating_sub(1);
-        }
-        if late > gate && lines.is_jump(late, gate) {
-            self.jumps += u64::from(lines.is_used());
-            return self.start(clock, arrived);
+        if late > gate {
+            lines.count = lines.count.saturating_sub((!lines.is_used()).into());
+            if lines.is_jump(late, gate) {
+                self.jumps += u64::from(lines.is_used());
+                return self.start(clock, arrived);
+            }
         }
         let revolution = lines.revolution(arrived);
         self.lines = Some(lines);
@@ -190,7 +194,7 @@ impl SensorClock {
             clock,
             age: 0.0,
             arrivals: Line::new(arrived, 1.0, RATE_DEVIATION),
-            motor: Line::new(arrived, self.nominal, PERIOD_DEVIATION * self.nominal),
+            motor: Line::new(arrived, self.nominal, TOLD_PERIOD_DEVIATION * self.nominal),
             count: 0,
             has_moved: false,
             misfits: Misfits::default(),
@@ -217,8 +221,8 @@ impl Lines {
         if !self.is_used() {
             return Revolution::default();
         }
-        let lateness = (!self.has_moved).then(|| duration(arrived - self.motor.value));
-        let is_doubted = self.misfits_in_row >= DOUBTED;
-        Revolution { lateness, is_doubted, period: Some(duration(self.motor.slope)) }
+        let [lateness, period] = [arrived - self.motor.value, self.motor.slope]
+            .map(|seconds| (!self.has_moved).then(|| duration(seconds)));
+        Revolution { lateness, is_doubted: self.misfits_in_row >= DOUBTED, period }
     }
 }

@@ -37,8 +37,8 @@ use crate::{BaudRate, Error, Geometry, Rate, Scan, Window};
 /// [`watch_state`](Self::watch_state). A command without a complete reply is repeated once if that is
 /// harmless, and then fails with [`Timeout`](crate::ErrorKind::Timeout) or
 /// [`Malformed`](crate::ErrorKind::Malformed). A status other than success is
-/// [`Refused`](crate::ErrorKind::Refused). Once the driver has ended, every
-/// call fails with the cause, or [`Closed`](crate::ErrorKind::Closed).
+/// [`Refused`](crate::ErrorKind::Refused). Once the driver has ended, every call fails with the cause, or
+/// [`Closed`](crate::ErrorKind::Closed).
 #[derive(Debug, Clone)]
 pub struct Sensor {
     client: Client,

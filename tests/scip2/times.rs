@@ -92,6 +92,32 @@ async fn a_motor_may_turn_at_another_speed_than_the_sensor_tells() {
     }
 }
 
+/// Between two streams such a motor turns six times in what seem seven revolutions.
+#[tokio::test(start_paused = true)]
+async fn short_streams_do_not_hide_the_speed_of_the_motor() {
+    let revolution = Duration::from_micros(110_300);
+    for pause in (200..1200).step_by(100).map(Duration::from_millis) {
+        let emulator = numbered(Model::Urg04lxUg01).revolution(revolution).build();
+        let sensor = builder().depth(64).connect(emulator.clone()).await.unwrap();
+        for scans in [1; 10].into_iter().chain([2; 10]).chain([60]) {
+            let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+            for count in 1..=scans {
+                let scan = next(&mut stream).await;
+                if scan.times().quality == StampQuality::SensorClock {
+                    let late = lateness(&emulator, &scan);
+                    assert!(late.abs() < 2.0, "{pause:?}: {late} ms");
+                }
+                if count == 60 {
+                    let found = scan.scan_time().as_secs_f64() / revolution.as_secs_f64();
+                    assert!((found - 1.0).abs() < 2e-3, "{pause:?}: {found}");
+                }
+            }
+            drop(stream);
+            sleep(pause).await;
+        }
+    }
+}
+
 #[tokio::test(start_paused = true)]
 async fn t15_a_scan_after_a_cut_one_has_its_own_time() {
     let emulator = numbered(Model::Utm30lx).build();

@@ -80,8 +80,7 @@ impl Service<'_> {
     }
 
     /// Delivers what has come of the stream: scans and errors. Returns false if there is nothing now.
-    /// Ends the stream if no schedule needs it, and restarts it if all schedules need fewer scans, or
-    /// one needs more.
+    /// Ends the stream if no schedule needs it, and restarts it if they need more scans, or fewer.
     pub(super) async fn deliver_streamed(&mut self, session: &mut Session) -> Result<bool, Stop> {
         // A sensor that sends without a pause must not keep other tasks from running.
         consume_budget().await;
