@@ -9,14 +9,12 @@ set -euo pipefail
 cd "$(dirname "$0")"
 python3 - <<'END'
 import itertools
-import os
 import socket
 import subprocess
 import threading
 
-from place import PLACE, compare, debian
+from place import compare, mrpt
 
-DRIVER = "libmrpt-hwdrivers-dev=1:2.5.8+ds-2"
 # The driver takes the times of arrival for the first ten scans.
 FIRST, SCANS = 10, 40
 # Milliseconds between scans, of which the test leaves out most, and of the clock at the first stamp.
@@ -71,22 +69,11 @@ def sense(listener):
                 client.sendall(f"{command}\n99b\n{scan(number)}\n".encode())
 
 
-simulated = ["apt-get", "install", "--simulate", "--no-install-recommends", DRIVER]
-plan = subprocess.run(simulated, capture_output=True, text=True, check=True).stdout
-root = debian(*[line.split()[1] for line in plan.splitlines() if line.startswith("Inst ")])
-libraries = os.environ["LD_LIBRARY_PATH"]
-parts = [f"{libraries}/{part}" for part in ("blas", "lapack", "pulseaudio")]
-os.environ["LD_LIBRARY_PATH"] = ":".join([libraries, *parts, f"{root}/usr/lib"])
-(PLACE / "program.cpp").write_text(PROGRAM)
-includes = [root / "usr/include", root / "usr/include/eigen3", *root.glob("usr/include/mrpt/*/include")]
-linked = [next(root.glob(f"usr/lib/*/libmrpt-{name}.so.2.5"))
-          for name in ("hwdrivers", "obs", "poses", "rtti", "serialization", "system", "core")]
-command = ["g++", "-std=c++17", *[f"-I{path}" for path in includes], "-o", PLACE / "program", PLACE / "program.cpp",
-           *linked, "-Wl,--allow-shlib-undefined"]
-subprocess.run(command, check=True)
+program = mrpt(PROGRAM, "libmrpt-hwdrivers-dev", folders=["pulseaudio"],
+               links=["hwdrivers", "obs", "poses", "rtti", "serialization", "system", "core"])
 with socket.create_server(("127.0.0.1", 0)) as listener:
     threading.Thread(target=sense, args=[listener], daemon=True).start()
-    run = [PLACE / "program", str(listener.getsockname()[1]), str(SCANS)]
+    run = [program, str(listener.getsockname()[1]), str(SCANS)]
     printed = subprocess.run(run, capture_output=True, text=True, check=True).stdout
 stamps = [float(line.split()[-1]) for line in printed.splitlines() if line.startswith("stamp ")][FIRST:]
 wrong = [stamp - stamps[0] - number * STEP / 1000 for number, stamp in enumerate(stamps)]

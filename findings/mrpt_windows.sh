@@ -8,10 +8,9 @@
 set -euo pipefail
 cd "$(dirname "$0")"
 python3 - <<'END'
-import os
 import subprocess
 
-from place import PLACE, compare, debian
+from place import compare, mrpt
 
 BRIDGE = "libmrpt-ros1bridge2.5"
 HEADERS = [f"libmrpt-{name}-dev" for name in (
@@ -51,23 +50,12 @@ int main(int, char** arguments) {
 }
 """
 
-simulated = ["apt-get", "install", "--simulate", "--no-install-recommends", f"{BRIDGE}=1:2.5.8+ds-2"]
-plan = subprocess.run(simulated, capture_output=True, text=True, check=True).stdout
-needed = [line.split()[1] for line in plan.splitlines() if line.startswith("Inst ")]
-root = debian(*needed, *HEADERS)
-libraries = os.environ["LD_LIBRARY_PATH"]
-os.environ["LD_LIBRARY_PATH"] = ":".join([libraries, f"{libraries}/blas", f"{libraries}/lapack", f"{root}/usr/lib"])
-(PLACE / "program.cpp").write_text(PROGRAM)
-includes = [root / "usr/include", root / "usr/include/eigen3", *root.glob("usr/include/mrpt/*/include")]
-linked = [next(root.glob(f"usr/lib/*/libmrpt-{name}.so.2.5"))
-          for name in ("ros1bridge", "obs", "poses", "serialization", "rtti", "math", "core")]
-command = ["g++", "-std=c++17", *[f"-I{path}" for path in includes], "-o", PLACE / "program", PLACE / "program.cpp",
-           *linked, "-Wl,--allow-shlib-undefined"]
-subprocess.run(command, check=True)
+program = mrpt(PROGRAM, BRIDGE, extra=HEADERS,
+               links=["ros1bridge", "obs", "poses", "serialization", "rtti", "math", "core"])
 
 
 def moved(first, last):
-    run = [PLACE / "program", str(first), str(last)]
+    run = [program, str(first), str(last)]
     return subprocess.run(run, capture_output=True, text=True, check=True).stdout
 
 

@@ -60,6 +60,24 @@ def debian(*packages):
     return root
 
 
+def mrpt(program, package, links, extra=(), folders=()):
+    """Builds a program with a package of MRPT 2.5.8, its dependencies and `extra` ones. Returns the command to run it.
+
+    `links` names MRPT's libraries, and `folders` further ones of Debian's libraries."""
+    simulated = ["apt-get", "install", "--simulate", "--no-install-recommends", f"{package}=1:2.5.8+ds-2"]
+    plan = subprocess.run(simulated, capture_output=True, text=True, check=True).stdout
+    root = debian(*[line.split()[1] for line in plan.splitlines() if line.startswith("Inst ")], *extra)
+    libraries = os.environ["LD_LIBRARY_PATH"]
+    parts = [f"{libraries}/{folder}" for folder in ("blas", "lapack", *folders)]
+    os.environ["LD_LIBRARY_PATH"] = ":".join([libraries, *parts, f"{root}/usr/lib"])
+    (PLACE / "program.cpp").write_text(program)
+    includes = [root / "usr/include", root / "usr/include/eigen3", *root.glob("usr/include/mrpt/*/include")]
+    linked = [next(root.glob(f"usr/lib/*/libmrpt-{name}.so.2.5")) for name in links]
+    subprocess.run(["g++", "-std=c++17", *[f"-I{path}" for path in includes], "-o", PLACE / "program",
+                    PLACE / "program.cpp", *linked, "-Wl,--allow-shlib-undefined"], check=True)
+    return PLACE / "program"
+
+
 def ser2net():
     """Unpacks ser2net with what it needs."""
     root = debian("ser2net=4.3.11-1", "libgensio4=2.6.2-4", "libwrap0=7.6.q-32", "libnsl2=1.3.0-2",
