@@ -266,19 +266,17 @@ impl State {
     /// Lets a scan wait, unless it is a copy of the latest one, or comes after a newer one.
     fn add_scan(&mut self, running: Running, scan: Scan, times: ReplyTimes, shared: &Shared) {
         let latest = self.latest.replace((scan.stamp, times.received));
+        let is_same = latest.is_some_and(|(stamp, _)| stamp == scan.stamp);
+        // One copy may come late. More than one are scans of a clock that stands still.
+        let may_be_copy = !std::mem::replace(&mut self.was_copied, is_same);
         if let Some((stamp, received)) = latest {
-            let told = self.geometry.revolution();
-            let revolution = self.clock.stats().map_or(told, |motor| motor.revolution);
+            let motor = self.clock.stats();
+            let revolution = motor.map_or(self.geometry.revolution(), |motor| motor.revolution);
             let since = times.began.duration_since(received);
             let is_soon = since < revolution / 2;
-            // One copy may come late. More than one are scans of a clock that stands still.
-            let was_copied = std::mem::replace(&mut self.was_copied, stamp == scan.stamp);
-            let is_copy = match stamp == scan.stamp {
-                true => is_soon || !was_copied,
-                // At its own time, it is the first scan after a jump of the clock.
-                false => is_soon && between(scan.stamp, stamp) < OLDEST,
-            };
-            if is_copy {
+            // At its own time, it is the first scan after a jump of the clock.
+            let is_old = is_soon && between(scan.stamp, stamp) < OLDEST;
+            if is_old || is_same && (is_soon || may_be_copy) {
                 self.latest = Some((stamp, times.received));
                 tracing::trace!("the line has delivered a scan twice, or an old one");
                 return;
