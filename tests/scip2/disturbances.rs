@@ -189,7 +189,7 @@ async fn single_scans_leave_no_stream_behind() {
 /// Returns a sensor that answers its stream's command with `replies`, each 10 ms after the one before
 /// and without the echo, and what it is asked.
 fn sensor_with_a_stream_of(
-    replies: impl Fn(usize) -> Option<&'static str> + Send + 'static,
+    mut replies: impl FnMut(usize) -> Option<&'static str> + Send + 'static,
 ) -> (DuplexStream, mpsc::UnboundedReceiver<String>) {
     let (near, far) = duplex(4096);
     let (log, asked) = mpsc::unbounded_channel();
@@ -255,10 +255,13 @@ async fn nothing_goes_beside_a_stream_whose_answer_was_damaged() {
     assert!(next.starts_with("QT"), "{next}");
 }
 
+/// Three scans of one step: 1,344 mm, 1,345 mm, 1,346 mm.
+const SCANS: [&str; 3] = ["99b\n00000\n0E0U", "99b\n000II\n0E1V", "99b\n000bb\n0E2W"];
+
 #[tokio::test(start_paused = true)]
 async fn a_copy_after_the_next_scan_is_no_scan() {
     crate::common::limit::limit();
-    let [first, second, third] = ["99b\n00000\n0E0U", "99b\n000II\n0E1V", "99b\n000bb\n0E2W"];
+    let [first, second, third] = SCANS;
     // The damaged one is no scan either: its clock is not known.
     for at_first in [first, "99b\n00000\n0E0V"] {
         let replies = ["00P", at_first, second, first, third];
@@ -275,6 +278,38 @@ async fn a_copy_after_the_next_scan_is_no_scan() {
         let expected = if at_first == first { &[1344, 1345, 1346][..] } else { &[1345, 1346] };
         assert_eq!(values, expected);
     }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_late_copy_in_each_of_two_streams_is_no_scan() {
+    crate::common::limit::limit();
+    let [first, second, third] = SCANS;
+    let (mut streams, mut ticks) = (0, 0);
+    let (port, _asked) = sensor_with_a_stream_of(move |sent| {
+        if sent == 0 {
+            (streams, ticks) = (streams + 1, 0);
+        }
+        ticks += 1;
+        // Each copy comes 70 ms later, when the next scan is nearly due.
+        match (streams, ticks) {
+            (_, 1) => Some("00P"),
+            (1, 2 | 9) => Some(first),
+            (2, 2 | 9) => Some(second),
+            (2, 12) => Some(third),
+            _ => None,
+        }
+    });
+    let sensor = builder().attach(port).await.unwrap();
+    let front = Window::new(384..=384).unwrap();
+    let mut stream = sensor.scans(front, Rate::UNLIMITED).await.unwrap();
+    let mut values = Vec::from_iter(next(&mut stream).await.raw_values());
+    sleep(Duration::from_millis(90)).await;
+    // The request ends the stream.
+    sensor.sensor_state().await.unwrap_err();
+    for _ in 0..2 {
+        values.extend(next(&mut stream).await.raw_values());
+    }
+    assert_eq!(values, [1344, 1345, 1346]);
 }
 
 #[tokio::test(start_paused = true)]
@@ -298,18 +333,25 @@ async fn t14_a_copy_on_a_slow_line_is_no_scan() {
 
 #[tokio::test(start_paused = true)]
 async fn a_stream_that_would_fill_the_line_is_polled() {
-    // 100 ms of each 100 ms, and 75 ms.
-    for (last, is_polled) in [(472, true), (420, false)] {
+    // Scans take 100 ms, 75 ms and 87 ms of each 100 ms, and of the 87 ms that a fast motor takes.
+    for (last, revolution_ms, is_polled) in
+        [(472, 100, true), (420, 100, false), (446, 100, false), (446, 87, true)]
+    {
         let emulator = numbered(Model::Urg04lx).firmware(Firmware::V31);
+        let emulator = emulator.revolution(Duration::from_millis(revolution_ms));
         let emulator = emulator.baud_rate(BaudRate::B57600).build();
         let asking = builder().protocol(Protocol::Scip2).baud_rate(BaudRate::B57600);
         let sensor = asking.connect(emulator.clone()).await.unwrap();
         let window = Window::new(300..=last).unwrap();
         let mut stream = sensor.scans(window, Rate::UNLIMITED).await.unwrap();
-        for _ in 0..20 {
+        for _ in 0..100 {
             revolution(&next(&mut stream).await);
         }
-        assert_eq!(commands(&emulator, b"MD") == 0, is_polled, "{window}");
+        let polls = commands(&emulator, b"GD");
+        for _ in 0..10 {
+            revolution(&next(&mut stream).await);
+        }
+        assert_eq!(commands(&emulator, b"GD") > polls, is_polled, "{window}, {revolution_ms} ms");
     }
 }
 

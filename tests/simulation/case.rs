@@ -95,9 +95,7 @@ impl Case {
             Protocol::Scip2 => {
                 let faster = (random.below(4001) as f64 - 2000.0) * 1e-6;
                 let clock = random.ms(1 << 24);
-                // A faster one would fill a serial line, so that all scans come late at an even pace.
-                let least = if speed.is_some() { 1000 } else { 870 };
-                let odd = least + random.below(1131 - least);
+                let odd = 870 + random.below(261);
                 let per_mille = if random.once_in(3) { odd } else { 1000 };
                 revolution = told * per_mille as u32 / 1000;
                 let builder = builder.firmware(Firmware::V31).latency(SCIP2_LATENCY);

@@ -93,9 +93,11 @@ impl Service<'_> {
         // Both would switch the laser on. The command that switches it off ends the stream.
         let may_change = session.is_streaming() && self.queue.desired.laser != Some(false);
         let Some(mut streams) = session.streams().filter(|_| may_change) else { return Ok(true) };
-        let outcome = match self.schedules.stream(self.scan_time) {
+        let wish = self.schedules.stream(self.scan_time);
+        // The motor may turn so fast that its scans fill the line.
+        let outcome = match wish.filter(|wish| streams.can_stream(*wish)) {
             None => streams.end_stream().await,
-            Some(wish) if self.streamed != Some(wish.skipped) && streams.can_stream(wish) => {
+            Some(wish) if self.streamed != Some(wish.skipped) => {
                 self.streamed = Some(wish.skipped);
                 streams.stream(wish).await
             }

@@ -268,12 +268,11 @@ impl Scip2<'_> {
     /// Asks for the newest scan, or takes the next one of the stream.
     pub(super) async fn acquire(&mut self, window: Window) -> Result<Acquired, ExchangeError> {
         self.line.shared.counters.count_poll();
-        if let Some(running) = &self.state.running {
-            let wish = StreamWish { window, skipped: running.skipped };
-            // Otherwise the stream would become too slow for its readers: the request ends it.
-            if self.can_stream(wish) {
-                return self.acquire_streamed(wish).await;
-            }
+        let wish =
+            self.state.running.map(|running| StreamWish { window, skipped: running.skipped });
+        // Otherwise the stream would become too slow for its readers: the request ends it.
+        if let Some(wish) = wish.filter(|wish| self.can_stream(*wish)) {
+            return self.acquire_streamed(wish).await;
         }
         self.stop_stray().await?;
         let command = Command::Latest { data: self.state.data, window };

@@ -55,18 +55,16 @@ impl Scip2<'_> {
     /// Returns true if the line carries the scans of a stream that holds this one, and the window of
     /// the one that runs. A replay is polled: each poll takes its next scan, whatever their rates are.
     pub(crate) fn can_stream(&mut self, wish: StreamWish) -> bool {
-        let StreamWish { mut window, skipped } = wish;
-        if let Some(running) = &self.state.running {
-            window = running.window.hull(&window);
+        if self.line.transport.is_replay() {
+            return false;
         }
+        let Some(baud_rate) = self.line.believed_baud_rate() else { return true };
+        let running = self.state.running.as_ref();
+        let window = running.map_or(wish.window, |running| running.window.hull(&wish.window));
         let command = Command::Stream(Stream::new(self.state.data, window));
-        let wire_time = self
-            .line
-            .believed_baud_rate()
-            .zip(Request::new(command, None).reply_len())
-            .map_or(Duration::ZERO, |(rate, bytes)| rate.wire_time(bytes));
-        let period = self.state.geometry.revolution() * (u32::from(skipped) + 1);
-        wire_time <= period * LARGEST_SHARE.0 / LARGEST_SHARE.1 && !self.line.transport.is_replay()
+        let bytes = Request::new(command, None).reply_len().unwrap_or(0);
+        let period = self.state.revolution() * (u32::from(wish.skipped) + 1);
+        baud_rate.wire_time(bytes) <= period * LARGEST_SHARE.0 / LARGEST_SHARE.1
     }
 
     /// Starts a stream that holds the window, unless such a one runs.
@@ -186,9 +184,8 @@ impl Scip2<'_> {
     /// Expects the next scan of the stream, if one runs, within the time that a command has.
     pub(super) fn expect_scan(&mut self) {
         let Some(running) = &self.state.running else { return };
-        let revolutions = u32::from(running.skipped) + 1;
-        let latency = self.latency(running.request.command());
-        let latency = latency + revolutions * self.state.geometry.revolution();
+        let turns = u32::from(running.skipped) + 1;
+        let latency = self.latency(running.request.command()) + turns * self.state.revolution();
         let within: Duration = self.time_limit(&running.request, latency);
         let expected = Expected { reply: None, limits: &LIMITS };
         self.line.transport.expect_unasked(&expected, within);
@@ -263,6 +260,11 @@ impl State {
         Some((request, times))
     }
 
+    /// Time of a revolution, measured or told.
+    fn revolution(&self) -> Duration {
+        self.clock.stats().map_or(self.geometry.revolution(), |motor| motor.revolution)
+    }
+
     /// Lets a scan wait, unless it is a copy of the latest one, or comes after a newer one.
     fn add_scan(&mut self, running: Running, scan: Scan, times: ReplyTimes, shared: &Shared) {
         let latest = self.latest.replace((scan.stamp, times.received));
@@ -270,8 +272,7 @@ impl State {
         // One copy may come late. More than one are scans of a clock that stands still.
         let may_be_copy = !std::mem::replace(&mut self.was_copied, is_same);
         if let Some((stamp, received)) = latest {
-            let motor = self.clock.stats();
-            let revolution = motor.map_or(self.geometry.revolution(), |motor| motor.revolution);
+            let revolution = self.revolution();
             let since = times.began.duration_since(received);
             let is_soon = since < revolution / 2;
             // At its own time, it is the first scan after a jump of the clock.
