@@ -52,8 +52,8 @@ impl SerialPort {
         let baud_rate = BaudRate::B19200;
         // By default with a lock and 8N1, without flow control.
         let builder = tokio_serial::new(path, baud_rate.bits_per_second());
-        let tty = Tty::open(&builder).map_err(|error| open_error::explain(path, error))?;
-        check_baud_rate(&tty, baud_rate).map_err(|source| Error::open(path, source))?;
+        let mut tty = Tty::open(&builder).map_err(|error| open_error::explain(path, error))?;
+        settle(&mut tty, baud_rate).map_err(|source| Error::open(path, source))?;
         let is_usb_sensor = list::is_usb_sensor(path);
         Ok(Self { tty: Some(tty), change: None, baud_rate, is_usb_sensor, lock: Some(lock) })
     }
@@ -101,7 +101,7 @@ fn respect_locks() {
 fn set_baud_rate(tty: &mut Tty, from: BaudRate, to: BaudRate) -> io::Result<()> {
     let mut apply = |baud_rate: BaudRate| {
         tty.set_baud_rate(baud_rate.bits_per_second())?;
-        check_baud_rate(tty, baud_rate)
+        settle(tty, baud_rate)
     };
     let outcome = apply(to);
     if outcome.is_err()
@@ -112,9 +112,13 @@ fn set_baud_rate(tty: &mut Tty, from: BaudRate, to: BaudRate) -> io::Result<()> 
     outcome
 }
 
-/// Fails if a port does not run at `baud_rate`. Some adapters accept a baud rate they do not have,
-/// and take the nearest one.
-fn check_baud_rate(tty: &Tty, baud_rate: BaudRate) -> io::Result<()> {
+/// Completes a setting of the baud rate. Fails if the port does not run at it: some adapters accept a
+/// baud rate they do not have, and take the nearest one.
+fn settle(tty: &mut Tty, baud_rate: BaudRate) -> io::Result<()> {
+    // Windows lowers DTR, and mio-serial 5.0.7 forgets a builder's `dtr_on_open`. A device on USB may
+    // then send nothing: Hokuyo's urg_library raises it for a UST.
+    #[cfg(not(unix))]
+    let _ = tty.write_data_terminal_ready(true);
     let actual = tty.baud_rate()?;
     let wrong = || format!("expected {baud_rate} baud, the port runs at {actual}");
     if is_close(baud_rate, actual) { Ok(()) } else { Err(io::Error::other(wrong())) }
@@ -122,10 +126,10 @@ fn check_baud_rate(tty: &Tty, baud_rate: BaudRate) -> io::Result<()> {
 
 /// Returns true if `actual` bits per second are within 2 % of `baud_rate`.
 ///
-/// Adapters report the result of their divider (a CP2104 has 115,384 for 115,200). A
-/// receiver samples a byte correctly if both sides together are off by less than half a
-/// bit in ten, 5 %; 2 % leaves a share for the sensor. An adapter that takes the nearest
-/// baud rate instead is at least 2.4 % off: 256,000 for 250,000.
+/// Adapters report the result of their divider (a CP2104 has 115,384 for 115,200). A receiver samples
+/// a byte correctly if both sides together are off by less than half a bit in ten, 5 %; 2 % leaves a
+/// share for the sensor. An adapter that takes the nearest baud rate instead is at least 2.4 % off:
+/// 256,000 for 250,000.
 fn is_close(baud_rate: BaudRate, actual: u32) -> bool {
     let wanted = baud_rate.bits_per_second();
     u64::from(wanted.abs_diff(actual)) * 50 <= u64::from(wanted)

@@ -34,9 +34,8 @@ async fn connect_to(address: SocketAddr) -> io::Result<TcpStream> {
     Ok(stream)
 }
 
-/// Makes the system probe an idle connection. Ignores failures: Windows before version
-/// 1703 of Windows 10 refuses the number of probes, and its default is better than no
-/// sensor.
+/// Makes the system probe an idle connection. Ignores failures: Windows before version 1703 of
+/// Windows 10 refuses the number of probes, and its default is better than no sensor.
 fn keep_alive(socket: &SockRef<'_>, settings: &TcpKeepalive) {
     if let Err(error) = socket.set_tcp_keepalive(settings) {
         tracing::debug!(%error, "the system refuses a setting of TCP keepalive");

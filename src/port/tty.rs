@@ -26,10 +26,9 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(5);
 
 /// Serial port that is registered for reading only.
 ///
-/// tokio-serial's stream is registered for writing, too. The system then reports room to
-/// write after each write, and again when the line has sent it: two needless wake-ups per
-/// command. A port's buffer practically always has room for a command; if not, a timer
-/// retries the write.
+/// tokio-serial's stream is registered for writing, too. The system then reports room to write after
+/// each write, and again when the line has sent it: two needless wake-ups per command. A port's buffer
+/// practically always has room for a command; if not, a timer retries the write.
 ///
 /// While wake-ups are suspended, the port is not registered at all: with edge-triggered
 /// epoll each piece of a reply wakes the runtime, even if no task waits for it. That costs

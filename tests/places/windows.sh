@@ -125,6 +125,36 @@ done
 expect 'baud rate      19200' info COM1
 expect 'is 115200 baud' baud COM1 115200
 expect '"sequence":4' stream '\\.\com1' --count 5
+# A pseudo-terminal has no DTR. With this library each process has one, and records what it is set to.
+cat >"$work/modem.c" <<'EOF'
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <sys/ioctl.h>
+int ioctl(int file, unsigned long request, ...) {
+    static int lines;
+    va_list rest;
+    va_start(rest, request);
+    int *argument = va_arg(rest, int *);
+    va_end(rest);
+    if (request != TIOCMGET && request != TIOCMSET)
+        return ((int (*)(int, unsigned long, ...))dlsym(RTLD_NEXT, "ioctl"))(file, request, argument);
+    if (request == TIOCMGET) return *argument = lines, 0;
+    FILE *record = fopen(getenv("DTR_RECORD"), "a");
+    fprintf(record, "%d", ((lines = *argument) & TIOCM_DTR) != 0);
+    return fclose(record);
+}
+EOF
+cc -shared -fPIC -o "$work/modem.so" "$work/modem.c"
+for arguments in 'info COM1' 'baud COM1 57600' 'baud COM1 115200'; do
+    rm -f "$work/dtr"
+    DTR_RECORD=$work/dtr LD_PRELOAD=$work/modem.so timeout 60 wine "$urg" $arguments >/dev/null 2>&1 || true
+    grep -q '1$' "$work/dtr" && echo "ok: urg $arguments raises DTR" && continue
+    echo "urg $arguments: expected DTR to be raised in the end, found $(cat "$work/dtr")" >&2
+    failed=1
+done
 # Wine has no 750000 baud: the driver must notice, and keep the former.
 expect 'cannot be set to 750000' baud COM1 750000
 expect 'baud rate      115200' info COM1
