@@ -85,7 +85,7 @@ impl Command {
 pub enum Data {
     /// `D`: a distance in three characters, 18 bits.
     Distances,
-    /// `S`: a distance in two characters, 12 bits. Larger ones do not fit.
+    /// `S`: a distance in two characters, 12 bits. A URG-04LX-UG01 sends 4095 for larger ones.
     ShortDistances,
     /// `E`: distance and intensity, three characters each. Do not ask a URG-04LX: it can lock up
     /// until it is switched off.
