@@ -51,10 +51,9 @@ impl Frame<usize> {
 /// what a sensor sent. The decoder skips NULs in front of a reply: a serial line leaves
 /// them behind when it changes its speed or breaks.
 ///
-/// After you encode a `G`, the decoder looks for the echo, status `0` and a terminator
-/// exactly where the reply must end. It does not search such a frame for an earlier
-/// terminator: [`Reply::parse`](crate::protocol::Reply::parse) rejects a reply with one
-/// inside.
+/// After you encode a `G`, the decoder looks for the echo, status `0` and a terminator exactly where
+/// the reply must end. It does not search such a frame for an earlier terminator:
+/// [`Reply::parse`](crate::protocol::Reply::parse) rejects a reply with one inside.
 ///
 /// Reads can cut the bytes up in any way: the decoder looks at each byte a constant number
 /// of times. It holds at most 4,096 bytes and half a terminator.

@@ -44,9 +44,8 @@ impl Rate {
     ///
     /// # Panics
     ///
-    /// Panics on NaN, on 0 and less, and above 1,000. For a number that does not come from
-    /// your own source code use [`Rate::try_from`], or parse a text:
-    /// `"10".parse::<Rate>()`.
+    /// Panics on NaN, on 0 and less, and above 1,000. For a number that does not come from your own
+    /// source code use [`Rate::try_from`], or parse a text: `"10".parse::<Rate>()`.
     #[track_caller]
     pub fn hz(hz: f64) -> Self {
         let rate = valid(hz);

@@ -8,9 +8,8 @@ use crate::BaudRate;
 use crate::protocol::{Protocol, Text};
 
 /// Interval of probes on a link that can fail silently
-/// ([`PortHints::can_die_silently`](crate::port::PortHints::can_die_silently)). With the
-/// deadlines of the session, the driver notices a lost link within 10 s. A probe costs
-/// 26 bytes on the wire.
+/// ([`PortHints::can_die_silently`](crate::port::PortHints::can_die_silently)). With the deadlines
+/// of the session, the driver notices a lost link within 10 s. A probe costs 26 bytes on the wire.
 pub(crate) const PROBE_INTERVAL: Duration = Duration::from_secs(5);
 
 /// Which idle links to probe, and how often.

@@ -85,7 +85,7 @@ impl Opener {
     /// Opens the port and finds the sensor. If there are several ports, tries one after
     /// another. Switches the laser as `laser` desired.
     pub(crate) async fn open(&mut self, laser: Option<bool>) -> Result<Session, LinkError> {
-        let mut candidates = 1;
+        let (mut candidates, mut others) = (1, Vec::new());
         loop {
             let started = Instant::now();
             let error = match timeout(self.config.open_timeout, self.connect.connect()).await {
@@ -96,7 +96,13 @@ impl Opener {
                     }
                     Err(failure) => failure.into_kind(),
                 },
-                Ok(Err(error)) => return Err(fail(error.into_kind())),
+                Ok(Err(error)) => {
+                    let mut error = error.into_kind();
+                    if let ErrorKind::NoSuchSensor { found, .. } = &mut error {
+                        found.append(&mut others);
+                    }
+                    return Err(fail(error));
+                }
                 Err(_) => {
                     let port = self.connect.name().unwrap_or("the port");
                     Error::open(port, io::ErrorKind::TimedOut.into()).into_kind()
@@ -107,6 +113,9 @@ impl Opener {
                 return Err(fail(error));
             }
             tracing::trace!(error = %ErrorChain(&error), "port skipped");
+            if let ErrorKind::AnotherSensor { found, .. } = error {
+                others.push(found);
+            }
             candidates += 1;
             sleep_until(started + CANDIDATE_TIME).await;
         }

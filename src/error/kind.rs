@@ -57,6 +57,8 @@ pub enum ErrorKind {
     NoSuchSensor {
         /// Serial number, as the caller named it.
         serial_number: String,
+        /// Serial numbers of the sensors that the ports lead to.
+        found: Vec<Text>,
     },
     /// The port is open, but no sensor answers.
     #[non_exhaustive]
@@ -256,10 +258,14 @@ impl fmt::Display for Sentence<'_> {
                 };
                 write!(f, "cannot open {port}{remedy}")
             }
-            ErrorKind::NoSuchSensor { serial_number } => write!(
-                f,
-                "no sensor with serial number {serial_number} on any port: plug it in, and stop other programs that have its port open (busy ports are skipped)"
-            ),
+            ErrorKind::NoSuchSensor { serial_number, found } => {
+                let only = if found.is_empty() { "" } else { ", only " };
+                let found = found.iter().map(Text::to_string).collect::<Vec<_>>().join(", ");
+                write!(
+                    f,
+                    "no sensor with serial number {serial_number} on any port{only}{found}: plug it in, and stop other programs that have its port open (busy ports are skipped)"
+                )
+            }
             ErrorKind::NoAnswer { baud_rate, searched, bytes, words } => {
                 let wherever = if *searched { " at any baud rate" } else { "" };
                 write!(

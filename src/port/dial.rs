@@ -1,7 +1,6 @@
-//! Connects to the first address of a host that accepts (RFC 8305, "Happy Eyeballs").
-//! Attempts start one after another without waiting for earlier ones to fail. So an
-//! address that never answers costs a fraction of a second instead of the whole time
-//! limit.
+//! Connects to the first address of a host that accepts (RFC 8305, "Happy Eyeballs"). Attempts start
+//! one after another without waiting for earlier ones to fail. So an address that never answers
+//! costs a fraction of a second instead of the whole time limit.
 
 use std::future::Future;
 use std::io;

@@ -31,9 +31,8 @@ pub struct PortInfo {
     /// Manufacturer name of the USB device.
     pub manufacturer: Option<Text>,
     /// Names of the same port that depend only on the USB socket, sorted: the links in
-    /// `/dev/serial/by-path` (Linux; empty elsewhere). Use them to tell two sensors
-    /// apart. Their names in `/dev/serial/by-id` are equal, because a URG has no USB
-    /// serial number.
+    /// `/dev/serial/by-path` (Linux; empty elsewhere). Use them to tell two sensors apart. Their
+    /// names in `/dev/serial/by-id` are equal, because a URG has no USB serial number.
     pub stable_paths: Vec<String>,
     /// True for the USB port of a Hokuyo sensor (vendor 15d1). False for a sensor on RS-232, which
     /// cannot be recognised without opening the port.

@@ -115,9 +115,8 @@ fn is_abandoned(terminal: &std::path::Path) -> bool {
         && !files.any(|file| std::fs::read_link(file.path()).is_ok_and(|open| open == terminal))
 }
 
-/// Group whose members may open a device: its name in the file `groups` (/etc/group), or
-/// its number, which `usermod` also accepts. `None` if the group may not read and write,
-/// and for root's group.
+/// Group whose members may open a device: its name in the file `groups` (/etc/group), or its number,
+/// which `usermod` also accepts. `None` if the group may not read and write, and for root's group.
 #[cfg(unix)]
 fn group_to_join(mode: u32, gid: u32, groups: &std::path::Path) -> Option<String> {
     const GROUP_READ_WRITE: u32 = 0o060;

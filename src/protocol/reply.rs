@@ -62,9 +62,8 @@ impl Reply {
         Ok(Self { status, text, values })
     }
 
-    /// Finds the reply to `command` at the end of `frame`, whatever precedes it. A reply
-    /// that was cut short has no terminator, so the next reply follows it in the same
-    /// frame.
+    /// Finds the reply to `command` at the end of `frame`, whatever precedes it. A reply that was
+    /// cut short has no terminator, so the next reply follows it in the same frame.
     ///
     /// Use it only if no older reply to `command` can be on its way, and for any command
     /// but `V`, whose reply has no fixed length.
@@ -212,9 +211,8 @@ fn split_line(bytes: &[u8]) -> (&[u8], Option<&[u8]>) {
     (line, rest.get(1..))
 }
 
-/// Recognises a status of SCIP 2: two characters and their checksum. The checksum is the
-/// low six bits of their sum, plus 0x30 (`99b`), or on some sensors the sum itself
-/// (`0Eu`).
+/// Recognises a status of SCIP 2: two characters and their checksum. The checksum is the low six
+/// bits of their sum, plus 0x30 (`99b`), or on some sensors the sum itself (`0Eu`).
 ///
 /// Without the checksum, a reply to a one-step `G` that lost the LF after its status
 /// (`0CD`) would pass for one.

@@ -56,9 +56,8 @@ impl Ring {
         Arc::new(Self(Mutex::new(inner)))
     }
 
-    /// Subscribes a reader to the scans from now on. It can fall `depth` scans behind
-    /// before it misses one. If no scan has arrived since the latest error, it begins
-    /// with that error.
+    /// Subscribes a reader to the scans from now on. It can fall `depth` scans behind before it
+    /// misses one. If no scan has arrived since the latest error, it begins with that error.
     pub(crate) fn subscribe(self: &Arc<Self>, depth: usize) -> Cursor {
         let depth = depth.max(1);
         let inner = self.lock();

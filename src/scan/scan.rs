@@ -10,10 +10,9 @@ use crate::protocol::{Geometry, Measurement, Window};
 
 /// Values of all directions of a [`Window`], measured in one revolution.
 ///
-/// Cheap to clone: copies share the values. The fields of ROS's `sensor_msgs/LaserScan` are
-/// methods of the same names, in the same units: radians, metres, and a `Duration` for
-/// times. The frame is the sensor's: x forward, y to the left, angles counter-clockwise from
-/// the front (REP 103).
+/// Cheap to clone: copies share the values. The fields of ROS's `sensor_msgs/LaserScan` are methods
+/// of the same names, in the same units: radians, metres, and a `Duration` for times. The frame is
+/// the sensor's: x forward, y to the left, angles counter-clockwise from the front (REP 103).
 ///
 /// `==` compares windows, values, numbers and stamps, but no [`Instant`], which is a time of this
 /// process.

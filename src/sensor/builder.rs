@@ -137,9 +137,8 @@ impl SensorBuilder {
     }
 
     /// Sets the serial number that you expect, as in the sensor's `SERI:` line. The driver refuses
-    /// any other sensor with [`AnotherSensor`](crate::ErrorKind::AnotherSensor). By
-    /// default it accepts the first sensor that it finds, and after a reconnect expects the same
-    /// one.
+    /// any other sensor with [`AnotherSensor`](crate::ErrorKind::AnotherSensor). By default it
+    /// accepts the first sensor that it finds, and after a reconnect expects the same one.
     ///
     /// Pass a string, or the [`serial_number`](crate::Version::serial_number) of a sensor. To
     /// search all ports for a sensor, open [`Endpoint::SerialNumber`] (`serial:H0713090`) instead.

@@ -115,7 +115,7 @@ fn an_error_of_opening_names_the_port_and_no_program() {
         ErrorKind::NoSuchPort { port: "left".to_owned() },
         ErrorKind::NotASerialPort { port: "left".to_owned() },
         ErrorKind::Busy { port: "left".to_owned() },
-        ErrorKind::NoSuchSensor { serial_number: "left".to_owned() },
+        ErrorKind::NoSuchSensor { serial_number: "left".to_owned(), found: Vec::new() },
     ];
     for error in errors.map(|kind| kind.to_string()) {
         assert!(error.contains("left") && !error.contains("`urg"), "{error}");

@@ -45,9 +45,8 @@ const WRITE_BUFFER_BYTES: usize = 32;
 /// container was paused. Afterwards tokio may fire the timer before it learns of the bytes.
 const OVERSLEPT: Duration = Duration::from_millis(5);
 
-/// Open port and its buffers. Never flushes the port: bytes leave without it, and the reply
-/// proves that they did. Flushing a serial port would block the thread until the port is
-/// drained.
+/// Open port and its buffers. Never flushes the port: bytes leave without it, and the reply proves
+/// that they did. Flushing a serial port would block the thread until the port is drained.
 pub(crate) struct Transport {
     port: Box<dyn Port>,
     codec: ScipCodec,

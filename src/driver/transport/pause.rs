@@ -1,12 +1,11 @@
 //! [`Pauses`]: the times during which nothing needs to wake the driver while a reply
 //! trickles in.
 //!
-//! A serial line delivers a scan in 20 to 100 pieces. Waking up for each one costs more than
-//! all other work on the scan (`benches/README.md`, item 12). Once a scan has begun, its rest
-//! takes at least as long as the rest of the fastest recent scan. So the driver sleeps until
-//! shortly before the end. It measures this time and does not compute it from the baud rate,
-//! which means nothing on a pseudo-terminal or USB. The port must be able to stop its
-//! wake-ups.
+//! A serial line delivers a scan in 20 to 100 pieces. Waking up for each one costs more than all
+//! other work on the scan (`benches/README.md`, item 12). Once a scan has begun, its rest takes at
+//! least as long as the rest of the fastest recent scan. So the driver sleeps until shortly before
+//! the end. It measures this time and does not compute it from the baud rate, which means nothing on
+//! a pseudo-terminal or USB. The port must be able to stop its wake-ups.
 
 use std::time::Duration;
 

@@ -31,9 +31,8 @@ impl Timer {
     }
 }
 
-/// Returns `Pending` after a call that a signal interrupted or that the port refused for
-/// now, and polls again after [`RETRY`]. Such a port has registered no waker, and may
-/// refuse forever.
+/// Returns `Pending` after a call that a signal interrupted or that the port refused for now, and
+/// polls again after [`RETRY`]. Such a port has registered no waker, and may refuse forever.
 pub(super) fn again_if_interrupted<T>(
     outcome: Poll<io::Result<T>>,
     timer: &mut Timer,

@@ -26,9 +26,8 @@ const BUSY_LIMIT: Duration = Duration::from_secs(2);
 /// that were busy.
 const LISTING_INTERVAL: Duration = Duration::from_millis(250);
 
-/// Time after which a port that is still being opened is skipped. Opening takes milliseconds
-/// unless a device hangs. The others must get their turn within the open timeout, by default
-/// 5 s.
+/// Time after which a port that is still being opened is skipped. Opening takes milliseconds unless
+/// a device hangs. The others must get their turn within the open timeout, by default 5 s.
 const OPEN_LIMIT: Duration = Duration::from_secs(2);
 
 /// Source of ports. Tests have one without hardware.
@@ -120,8 +119,9 @@ impl<P: Ports> Search<P> {
             let until = *pass.busy_until.get_or_insert_with(|| Instant::now() + BUSY_LIMIT);
             if !is_busy || Instant::now() >= until {
                 self.pass = None;
-                let serial_number = self.serial_number.clone();
-                return Err(denied.unwrap_or(ErrorKind::NoSuchSensor { serial_number }.into()));
+                let (serial_number, found) = (self.serial_number.clone(), Vec::new());
+                let none = ErrorKind::NoSuchSensor { serial_number, found };
+                return Err(denied.unwrap_or(none.into()));
             }
             sleep(LISTING_INTERVAL).await;
         }

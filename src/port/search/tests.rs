@@ -60,7 +60,7 @@ async fn next(search: &mut Search<Fake>) -> String {
     match search.next_port().await {
         Ok(port) => port,
         Err(error) => match error.kind() {
-            ErrorKind::NoSuchSensor { serial_number } => format!("no {serial_number}"),
+            ErrorKind::NoSuchSensor { serial_number, .. } => format!("no {serial_number}"),
             _ => error.to_string(),
         },
     }

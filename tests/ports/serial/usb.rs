@@ -130,7 +130,10 @@ async fn a_sensor_is_found_by_serial_number() {
     assert_eq!(other.version().await.unwrap().serial_number, "H0000001");
     other.close().await;
     let error = builder().open("serial:H0000002").await.unwrap_err();
-    assert!(matches!(error.kind(), ErrorKind::NoSuchSensor { .. }), "{error}");
+    let ErrorKind::NoSuchSensor { found, .. } = error.kind() else { panic!("{error}") };
+    assert_eq!(*found, ["H0000001"], "the other port is busy");
+    let told = "no sensor with serial number H0000002 on any port, only H0000001: plug it in";
+    assert!(error.to_string().contains(told), "{error}");
 }
 
 #[tokio::test]

@@ -103,9 +103,8 @@ impl Scip1 {
         true
     }
 
-    /// Sends a fence and waits for its answer, skipping the frames before it. Stores the
-    /// error of the latest malformed frame in
-    /// `latest_malformed`.
+    /// Sends a fence and waits for its answer, skipping the frames before it. Stores the error of
+    /// the latest malformed frame in `latest_malformed`.
     async fn answer_to_fence(
         &mut self,
         command: &Command,

@@ -1,10 +1,9 @@
 //! SCIP 1.1: one command is outstanding at a time.
 //!
-//! SCIP 1.1 numbers nothing, and two polls of the same window have the same echo. A reply
-//! answers its command only because no older reply can still be on its way. Three things cast
-//! doubt on that: unsolicited bytes, a malformed reply, and a missed deadline. So a command
-//! leaves the link unsettled until its reply is accepted, and an unsettled link is fenced before
-//! the next command.
+//! SCIP 1.1 numbers nothing, and two polls of the same window have the same echo. A reply answers
+//! its command only because no older reply can still be on its way. Three things cast doubt on that:
+//! unsolicited bytes, a malformed reply, and a missed deadline. So a command leaves the link
+//! unsettled until its reply is accepted, and an unsettled link is fenced before the next command.
 //!
 //! `exchange` sends one command and judges its reply, `fence` proves that no older reply can follow,
 //! and `unique_requests` chooses what each `G` asks for.
