@@ -1,10 +1,15 @@
 //! The sensor on other streams: in memory, on TCP, on a pseudo-terminal. The latter
 //! two run in real time, and each wait is for bytes.
 
+use std::io::Result;
+use std::pin::Pin;
+use std::task::{Context, Poll};
 use std::time::Duration;
 
-use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
+use tokio::io::{AsyncReadExt, AsyncWrite, AsyncWriteExt, duplex, join};
 use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
+use urg_emulator::{Emulator, Model};
 
 use super::{ask, instant_sensor, listen_bytes};
 
@@ -22,6 +27,39 @@ async fn any_stream_can_be_served() {
     drop(client);
     server.await.unwrap().unwrap();
     assert!(!emulator.is_connected());
+}
+
+/// Tells the length of each piece that is written to it.
+struct Pieces(UnboundedSender<usize>);
+
+impl AsyncWrite for Pieces {
+    fn poll_write(self: Pin<&mut Self>, _: &mut Context<'_>, piece: &[u8]) -> Poll<Result<usize>> {
+        let _ = self.0.send(piece.len());
+        Poll::Ready(Ok(piece.len()))
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_longest_reply_comes_in_one_piece() {
+    super::limit::limit();
+    let emulator = Emulator::builder().model(Model::Ust10lx).build();
+    let (mut client, server) = duplex(64);
+    let (pieces, mut written) = unbounded_channel();
+    tokio::spawn(async move { emulator.serve(join(server, Pieces(pieces))).await });
+    client.write_all(b"ME0000108001001\n").await.unwrap();
+    assert_eq!(written.recv().await, Some("ME0000108001001\n00P\n\n".len()));
+    let points = 1081 * 6;
+    let sums = usize::div_ceil(points, 64);
+    let rest = "ME0000108001000\n99b\n0000C\n\n".len();
+    assert_eq!(written.recv().await, Some(rest + points + 2 * sums));
 }
 
 #[tokio::test(start_paused = true)]
@@ -82,7 +120,7 @@ mod terminal {
     use tokio::task::JoinHandle;
     use tokio_scip::BaudRate;
     use tokio_serial::{ErrorKind, SerialPort, SerialStream};
-    use urg_emulator::{Emulator, Pty, Received};
+    use urg_emulator::{Pty, Received};
 
     use super::*;
 

@@ -77,10 +77,10 @@ pub(super) async fn pump<S: AsyncRead + AsyncWrite>(stream: S, link: Link) -> io
     }
 }
 
-/// Copies bytes until the end of `from`. Unlike tokio's `copy` it does not flush, which blocks on a
-/// terminal.
+/// Copies bytes until the end of `from`, any reply in one piece: clients exist that take a piece for
+/// a reply. Unlike tokio's `copy` it does not flush, which blocks on a terminal.
 async fn copy(mut from: impl AsyncRead + Unpin, mut to: impl AsyncWrite + Unpin) -> io::Result<()> {
-    let mut buffer = [0; 2048];
+    let mut buffer = vec![0; 8192];
     loop {
         let count = from.read(&mut buffer).await?;
         let bytes = buffer.get(..count).unwrap_or_default();
