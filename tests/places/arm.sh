@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Runs the tests for ARM under user-mode emulation:
 #   bash tests/places/arm.sh armv7|aarch64 [core | NAMES…]
-# `core`, what CI runs, is the library's own tests, protocol, codec, driver and an hour of
-# simulation. NAMES are passed to the tests. left_out.txt lists what is left out, and why.
+# `core` is the library's own tests, protocol, codec, driver and an hour of simulation (core.txt).
+# NAMES are passed to the tests. left_out.txt lists what is left out, and why.
 #
 # Needs on Debian: qemu-user, gcc-arm-linux-gnueabihf and libc6-dev-armhf-cross, or
 # gcc-aarch64-linux-gnu and libc6-dev-arm64-cross. Without them it prints `skipped: NAME` and
@@ -30,8 +30,7 @@ export SCIP_SIMULATION_HOURS="${SCIP_SIMULATION_HOURS:-1}" SCIP_TEST_LIMIT_MINUT
 kinds=(--workspace --lib --bins --tests) names=("$@")
 if [ "${1-}" = core ]; then
     kinds=(-p tokio-scip -p urg-emulator --lib --test it --test emulator)
-    names=(protocol:: codec:: properties:: polling:: unique_polls:: grid:: wire::the_line rate:: opening::
-        settings:: reconnect:: identity:: cancel:: fresh:: worlds:: simulation::seeds simulation::the_same)
+    mapfile -t names <tests/places/core.txt
 fi
 version=$("$qemu" --version | sed -n '1s/.* version \([0-9]*\).*/\1/p')
 places=arm
