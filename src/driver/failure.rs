@@ -59,10 +59,4 @@ impl LinkError {
             Self::Silent(kind) | Self::Lost(kind) | Self::Ended(kind) => kind,
         }
     }
-
-    pub(crate) fn into_kind(self) -> ErrorKind {
-        match self {
-            Self::Silent(kind) | Self::Lost(kind) | Self::Ended(kind) => kind,
-        }
-    }
 }

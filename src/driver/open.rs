@@ -91,10 +91,8 @@ impl Opener {
             let error = match timeout(self.config.open_timeout, self.connect.connect()).await {
                 Ok(Ok(port)) => match self.open_on(port, laser).await {
                     Ok(session) => return Ok(session),
-                    Err(ended @ LinkError::Ended(_)) => {
-                        return Err(ended);
-                    }
-                    Err(failure) => failure.into_kind(),
+                    Err(ended @ LinkError::Ended(_)) => return Err(ended),
+                    Err(failure) => failure.kind().clone(),
                 },
                 Ok(Err(error)) => {
                     let mut error = error.into_kind();

@@ -71,7 +71,7 @@ impl Supervisor {
                 Ok(())
             }
             Ok(Stop::Link(failure)) => {
-                let error = self.shared.link.error(failure.into_kind());
+                let error = self.shared.link.error(failure.kind().clone());
                 self.end(Some(&error));
                 Err(error)
             }
@@ -159,7 +159,7 @@ impl Supervisor {
             let kind = match self.offline.run(None, self.opener.open(laser)).await? {
                 Ok(session) => return Ok(session),
                 Err(ended @ LinkError::Ended(_)) => return Err(ended.into()),
-                Err(failure) => failure.into_kind(),
+                Err(failure) => failure.kind().clone(),
             };
             // Give up only if the error repeats: udev may not have set the owner of a new
             // port yet. The wrong sensor may still be replaced by the right one.
@@ -225,7 +225,7 @@ impl Supervisor {
                     return Ok(session);
                 }
                 Err(ended @ LinkError::Ended(_)) => return Err(ended.into()),
-                Err(failure) => self.shared.link.error(failure.into_kind()),
+                Err(failure) => self.shared.link.error(failure.kind().clone()),
             };
             let repeats = discriminant(error.kind()) == discriminant(latest.kind());
             if repeats && !error.is_transient() {

@@ -65,8 +65,10 @@ pub enum ErrorKind {
     NoAnswer {
         /// Only baud rate that was tried, if the port cannot change it.
         baud_rate: Option<BaudRate>,
-        /// True if all six baud rates were tried.
+        /// True if all baud rates of the port were tried.
         searched: bool,
+        /// Baud rates that the port could not be set to.
+        refused: Vec<BaudRate>,
         /// Number of received bytes that are not part of a reply.
         bytes: u64,
         /// Text that came in place of replies, such as a server's banner.
@@ -139,7 +141,7 @@ pub enum ErrorKind {
     },
     /// Your service switched the laser off, so there are no scans.
     LaserOff,
-    /// The sensor did not act on a command: its laser or baud rate stays as it was.
+    /// The sensor did not act on a command for its laser, or does not answer at its new baud rate.
     #[non_exhaustive]
     NotConfirmed {
         /// What the driver wanted.
@@ -266,12 +268,16 @@ impl fmt::Display for Sentence<'_> {
                     "no sensor with serial number {serial_number} on any port{only}{found}: plug it in, and stop other programs that have its port open (busy ports are skipped)"
                 )
             }
-            ErrorKind::NoAnswer { baud_rate, searched, bytes, words } => {
+            ErrorKind::NoAnswer { baud_rate, searched, refused, bytes, words } => {
                 let wherever = if *searched { " at any baud rate" } else { "" };
                 write!(
                     f,
                     "{sensor} does not answer{wherever}: check its power and the wiring (after power-up it is silent for some seconds)"
                 )?;
+                let all = refused.iter().map(BaudRate::to_string).collect::<Vec<_>>().join(" or ");
+                if !all.is_empty() {
+                    write!(f, ", and power-cycle it if it is at {all} baud, which the port lacks")?;
+                }
                 if let Some(baud_rate) = baud_rate {
                     write!(
                         f,
@@ -317,10 +323,7 @@ impl fmt::Display for Sentence<'_> {
             }
             ErrorKind::Refused { command, status, meaning, .. } => {
                 write!(f, "{sensor} refused {command} with status '{status}'")?;
-                match meaning {
-                    Some(meaning) => write!(f, ": {meaning}"),
-                    None => Ok(()),
-                }
+                meaning.map_or(Ok(()), |meaning| write!(f, ": {meaning}"))
             }
             ErrorKind::Malformed { command, .. } => {
                 write!(f, "the reply of {sensor} to {command} is malformed")
@@ -333,7 +336,7 @@ impl fmt::Display for Sentence<'_> {
                 match operation {
                     Operation::LaserOn => write!(f, "the laser of {sensor} stays off")?,
                     Operation::LaserOff => write!(f, "the laser of {sensor} stays on")?,
-                    _ => write!(f, "{sensor} keeps its baud rate")?,
+                    _ => write!(f, "{sensor} does not answer at the new baud rate")?,
                 }
                 match status {
                     Some(status) => write!(f, ": it answered {command} with status '{status}'")?,
@@ -344,16 +347,17 @@ impl fmt::Display for Sentence<'_> {
                         write!(f, ", and refuses to measure with status '{refusal}'")?;
                     }
                     (None, Operation::LaserOff) => f.write_str(", and still measures")?,
-                    (None, _) => f.write_str(", and did not act on it")?,
+                    (None, Operation::LaserOn) => f.write_str(", and did not act on it")?,
+                    (None, _) => {
+                        f.write_str(" (some adapters run at another one than they report)")?
+                    }
                 }
                 f.write_str("; power-cycle it")
             }
             ErrorKind::UnsupportedBaudRate { baud_rate, source } => {
-                write!(f, "the port of {sensor} cannot be set to {baud_rate} baud")?;
-                match source {
-                    Some(_) => Ok(()),
-                    None => f.write_str(": its baud rate is fixed at the other end"),
-                }
+                let why =
+                    if source.is_some() { "" } else { ": its baud rate is fixed at the other end" };
+                write!(f, "the port of {sensor} cannot be set to {baud_rate} baud{why}")
             }
             ErrorKind::Panicked { message } => {
                 write!(f, "the driver of {sensor} has panicked: {message}")

@@ -157,7 +157,7 @@ impl Sensor {
     /// [`UnsupportedBaudRate`](crate::ErrorKind::UnsupportedBaudRate) if the port cannot
     /// be set to this baud rate; nothing is sent then. A TCP connection supports only the baud rate
     /// of its endpoint. [`NotConfirmed`](crate::ErrorKind::NotConfirmed) if the sensor
-    /// accepted but stayed at the old baud rate.
+    /// accepted but does not answer at this baud rate.
     pub async fn set_baud_rate(&self, baud_rate: BaudRate) -> Result<(), Error> {
         self.client.ask(|responder| Request::BaudRate { baud_rate, responder }).await
     }

@@ -168,8 +168,13 @@ impl LinkState {
 
     /// Why there is no link. While no attempt has failed yet, the sensor is silent.
     pub(crate) fn reason(&self) -> ErrorKind {
-        let no_answer =
-            ErrorKind::NoAnswer { baud_rate: None, searched: false, bytes: 0, words: None };
+        let no_answer = ErrorKind::NoAnswer {
+            baud_rate: None,
+            searched: false,
+            refused: Vec::new(),
+            bytes: 0,
+            words: None,
+        };
         self.trouble().map_or(no_answer, |error| error.kind().clone())
     }
 

@@ -183,6 +183,40 @@ async fn o12_a_port_without_baud_rates_is_reported() {
     assert!(emulator.log().is_empty(), "commands were sent at an unknown baud rate");
 }
 
+/// As behind a CP2102, which has no 750,000 baud.
+#[tokio::test(start_paused = true)]
+async fn a_silent_sensor_may_be_at_a_baud_rate_that_the_port_lacks() {
+    let emulator = instant_sensor().baud_rate(BaudRate::B750000).build();
+    let inner = emulator.clone();
+    let connect = ConnectFn(move || {
+        let refuse = |link: FaultyLink<_>, pass: u64| {
+            link.fail(Call::SetBaudRate, 6 * pass + 5, LinkFailure::Kind(io::ErrorKind::Other))
+        };
+        Ok((0..5).fold(FaultyLink::new(inner.link()), refuse))
+    });
+    let error = builder().connect(connect).await.unwrap_err();
+    assert!(
+        matches!(error.kind(), ErrorKind::NoAnswer { refused, .. } if *refused == [BaudRate::B750000]),
+        "{error:?}"
+    );
+    assert!(error.to_string().contains("power-cycle it if it is at 750000 baud"), "{error}");
+}
+
+/// As behind adapters that report the requested baud rate and run at another one.
+#[tokio::test(start_paused = true)]
+async fn a_sensor_that_is_lost_at_its_new_baud_rate_is_explained() {
+    let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    // Reply 0 is that to a fence, reply 1 that to `S`.
+    emulator
+        .set_faults((2..50).fold(Faults::none(), |faults, reply| faults.at(reply, Fault::Lost)));
+    let error = sensor.set_baud_rate(BaudRate::B250000).await.unwrap_err();
+    assert_eq!(emulator.baud_rate(), Some(BaudRate::B250000));
+    let text = error.to_string();
+    assert!(text.contains("does not answer at the new baud rate"), "{text}");
+    assert!(text.contains("some adapters run at another one than they report"), "{text}");
+}
+
 /// Returns a connector whose first link is the faulty one that `rig` makes; all later links
 /// have no fault.
 fn first_faulty(

@@ -1,6 +1,7 @@
 //! Finds the sensor's baud rate and its protocol, and changes the baud rate. A status alone proves
 //! nothing: the sensor has to answer at the new baud rate.
 
+use std::collections::BTreeSet;
 use std::io;
 use std::sync::Arc;
 use std::time::Duration;
@@ -30,28 +31,30 @@ impl Session {
     ) -> Result<(), ExchangeError> {
         self.scip2 = None;
         let before = self.scip1.line.transport.received();
-        let mut malformed = None;
-        loop {
-            let mut usable = false;
+        let (mut malformed, mut refused) = (None, BTreeSet::new());
+        while refused.len() < baud_rates.len() {
             for &baud_rate in baud_rates {
                 let mut latency = self.scip1.usual_latency();
                 if self.baud_rate().is_some() {
                     match self.set_port_baud_rate(baud_rate).await {
-                        Ok(()) => latency = SEARCH_LATENCY,
+                        Ok(()) => {
+                            refused.remove(&baud_rate);
+                            latency = SEARCH_LATENCY;
+                        }
                         Err(error) if error.kind() == io::ErrorKind::Unsupported => {}
                         // The adapter may not support this baud rate.
-                        Err(_) => continue,
+                        Err(_) => {
+                            refused.insert(baud_rate);
+                            continue;
+                        }
                     }
                 }
-                usable = true;
-                // The system may have buffered more bytes than the flood limit of one
-                // exchange allows.
+                // The system may have buffered more bytes than one exchange may skip.
                 self.scip1.line.discard_pending().await?;
                 match self.scip1.fence_once(latency).await {
                     Ok(_) => return self.begin_in_scip1().await,
                     Err(ExchangeError::Command(ErrorKind::Timeout { .. })) => {}
-                    // One malformed answer may be noise. Report it only if no attempt does
-                    // better.
+                    // One malformed answer may be noise. Report it only if no attempt does better.
                     Err(ExchangeError::Command(error @ ErrorKind::Malformed { .. }))
                         if !is_not_raw(&error) =>
                     {
@@ -70,18 +73,15 @@ impl Session {
                     let silence = ErrorKind::NoAnswer {
                         baud_rate: self.baud_rate().filter(|_| !self.is_searchable()),
                         searched: self.is_searchable(),
+                        refused: refused.into_iter().collect(),
                         bytes: self.scip1.line.transport.received() - before,
                         words: self.scip1.line.transport.words(),
                     };
                     return Err(LinkError::Silent(malformed.unwrap_or(silence)).into());
                 }
             }
-            if !usable {
-                let text = "the port supports none of the six baud rates";
-                let error = io::Error::new(io::ErrorKind::InvalidInput, text);
-                return Err(lost(error));
-            }
         }
+        Err(lost(io::Error::other("the port supports none of the six baud rates")))
     }
 
     /// Moves the sensor and the port to another baud rate. On failure either both are back at
@@ -99,10 +99,8 @@ impl Session {
                 self.set_port_baud_rate(old).await.map_err(lost)?;
             }
             let source = is_adjustable.then(|| Arc::new(error));
-            return Err(ExchangeError::Command(ErrorKind::UnsupportedBaudRate {
-                baud_rate,
-                source,
-            }));
+            let unsupported = ErrorKind::UnsupportedBaudRate { baud_rate, source };
+            return Err(ExchangeError::Command(unsupported));
         }
         let Some(old) = old else {
             return self.send_baud_rate_over_usb(baud_rate).await;
