@@ -65,13 +65,13 @@ def kernel(place):
     return folder
 
 
-def modules(folder):
+def modules(folder, drivers):
     """Returns the modules to load, as (path, options), each after those it needs."""
     version = os.path.basename(glob.glob(f"{folder}/lib/modules/*")[0])
     if not os.path.exists(f"{folder}/lib/modules/{version}/modules.dep.bin"):
         subprocess.run([tool("depmod"), "-b", str(folder), version], check=True)
     found = []
-    for name in MODULES:
+    for name in [*MODULES, *drivers]:
         lines = subprocess.run(
             [tool("modprobe"), "-d", str(folder), "-S", version, "--show-depends", name],
             capture_output=True, text=True, check=True,
@@ -86,7 +86,7 @@ def modules(folder):
     return found
 
 
-def initramfs(place, folder, script, arguments, boot):
+def initramfs(place, folder, script, arguments, boot, drivers):
     """Writes an initramfs with init, busybox, the modules and what init is to start."""
     root = place / "initramfs"
     shutil.rmtree(root, ignore_errors=True)
@@ -98,7 +98,7 @@ def initramfs(place, folder, script, arguments, boot):
     shutil.copy(HERE / "init", root / "init")
     os.chmod(root / "init", 0o755)
     lines = []
-    for path, options in modules(folder):
+    for path, options in modules(folder, drivers):
         shutil.copy(path, root / "lib")
         lines.append(f"insmod /lib/{os.path.basename(path)} {options}\n")
     (root / "modules").write_text("".join(lines))
@@ -115,13 +115,13 @@ def initramfs(place, folder, script, arguments, boot):
 
 
 class Machine:
-    """One boot. `options` are QEMU's, such as disks and devices."""
+    """One boot. `options` are QEMU's, such as disks and devices; `drivers` are further modules."""
 
-    def __init__(self, place, script, arguments=(), options=(), memory="1G", boot="host"):
+    def __init__(self, place, script, arguments=(), options=(), memory="1G", boot="host", drivers=()):
         place = pathlib.Path(place)
         folder = kernel(place)
         image = glob.glob(f"{folder}/boot/vmlinuz-*")[0]
-        ram_disk = initramfs(place, folder, script, arguments, boot)
+        ram_disk = initramfs(place, folder, script, arguments, boot, drivers)
         self.control = str(place / "qmp")
         self.process = subprocess.Popen(
             [

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Boots the machine for one set of checks: run.py usb|system|power|fat|services|cost PROGRAM PLACE
+"""Boots the machine for one set of checks: run.py usb|adapters|system|power|fat|services|cost PROGRAM PLACE
 […]. PLACE is a folder for the kernel and the machine's files. Prints `skipped: TOOL` where
 something is missing."""
 
@@ -59,6 +59,12 @@ def usb(program, place, names):
     finally:
         for emulator in emulators:
             emulator.kill()
+
+
+def adapters(program, place, names):
+    """RS-232 adapters with chips of several makers."""
+    drivers = ["vhci-hcd", "cp210x", "ch341", "pl2303", "mos7840", "ti_usb_3410_5052"]
+    return Machine(place, HERE / "adapters.py", [program, *names], drivers=drivers).run(seconds=600)
 
 
 def system(program, place, arguments):
@@ -287,7 +293,7 @@ if __name__ == "__main__":
     except PermissionError:
         pass
     try:
-        run = {"usb": usb, "system": system, "power": power, "fat": fat, "services": services, "cost": cost}[checks]
+        run = {"usb": usb, "adapters": adapters, "system": system, "power": power, "fat": fat, "services": services, "cost": cost}[checks]
         sys.exit(run(program, place.resolve(), sys.argv[4:]))
     except Skipped as missing:
         print(f"skipped: {missing}")
