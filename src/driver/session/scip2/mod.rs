@@ -1,5 +1,5 @@
-//! SCIP 2: each request has a label of its own, which its reply echoes. So a frame with another label
-//! is older, and is dropped. No fence is needed.
+//! SCIP 2: each request has a label of its own, which its reply echoes. A frame with another is older,
+//! such as an answer that a UST repeats after the next request (acfr/snark 325b2fa1): it is dropped.
 //!
 //! The driver asks for the newest scan each time (`GD`), or once for every scan (`MD`, in `stream`).
 //! `exchange` sends one request and waits for its reply.
