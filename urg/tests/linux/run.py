@@ -293,7 +293,8 @@ if __name__ == "__main__":
     except PermissionError:
         pass
     try:
-        run = {"usb": usb, "adapters": adapters, "system": system, "power": power, "fat": fat, "services": services, "cost": cost}[checks]
+        run = {"usb": usb, "adapters": adapters, "system": system, "power": power, "fat": fat, "services": services,
+               "cost": cost}[checks]
         sys.exit(run(program, place.resolve(), sys.argv[4:]))
     except Skipped as missing:
         print(f"skipped: {missing}")
