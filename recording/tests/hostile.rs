@@ -357,6 +357,34 @@ fn a_message_before_a_cut_off_index_is_found() {
 }
 
 #[test]
+fn a_wrong_length_that_ends_at_the_last_bytes_hides_none() {
+    let (channel, events) = (channel(), event(0).repeat(4));
+    let chunk = chunk_of(&[&channel[..], &events].concat());
+    let files = [[MAGIC, &channel, &events].concat(), [MAGIC, &chunk].concat()];
+    for (file, place) in files.into_iter().zip([8 + channel.len(), 8]) {
+        // Cut off in the text of the last event.
+        let (start, end) = (file.len() - events.len(), file.len() - 9);
+        for rest in 1..9 {
+            let mut file = file[..end].to_vec();
+            let length = (end - rest - start - 9) as u64;
+            file[start + 1..start + 9].copy_from_slice(&length.to_le_bytes());
+            assert_eq!(repaired(&[&file]), (2, vec![place as u64]), "{rest}");
+        }
+    }
+}
+
+#[test]
+fn a_message_before_a_cut_off_later_record_is_found() {
+    // Its data look like metadata of empty texts.
+    let message = of_kind(0x05, &[&[0; 22], &of_kind(0x0c, &[0; 8])[..]].concat());
+    let later = of_kind(0x7f, b"later");
+    for length in 0..later.len() {
+        let found = repaired(&[MAGIC, &channel(), &message, &later[..length]]);
+        assert_eq!(found, (1, vec![]), "{length}");
+    }
+}
+
+#[test]
 fn a_record_in_a_message_is_its_data() {
     let (event, damage) = (event(0), [0xee; 40]);
     for data in [metadata(), channel(), of_kind(0x07, &[0; 6])] {
@@ -445,6 +473,17 @@ fn a_wrong_length_that_ends_at_a_record_hides_none() {
     long[1..9].copy_from_slice(&length.to_le_bytes());
     let file = [MAGIC, &long, &chunk, &chunk, &end()].concat();
     assert_eq!(read(&file), (vec![8], 2, false));
+}
+
+#[test]
+fn a_wrong_length_that_ends_in_the_next_head_hides_no_chunk() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    for by in 1..6 {
+        let mut long = more(&chunk, b"123");
+        long[1] += by;
+        let file = [MAGIC, &long, &chunk, &chunk, &end()].concat();
+        assert_eq!(read(&file), (vec![8], 2, false), "{by}");
+    }
 }
 
 #[test]

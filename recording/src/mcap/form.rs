@@ -20,8 +20,8 @@ const MAX_CHUNK_HEAD: usize = CHUNK_HEAD + MAX_COMPRESSION_NAME;
 const MAX_SKIPPED_BYTES: u64 = u64::MAX - RECORD_HEAD as u64;
 /// Length of a message without data.
 const MESSAGE_BYTES: u64 = RECORD_HEAD as u64 + 22;
-/// Number of records that must follow one without lengths of its own. Data with many zeros look
-/// like one record, but not like three.
+/// Number of records that must follow one whose lengths do not show that it begins there. Data with
+/// many zeros look like one record, but not like three.
 const FOLLOWERS: u8 = 2;
 
 /// Extent of a record, from its first byte.
@@ -248,8 +248,8 @@ fn begins_before(
     let extent = measure(bytes.get(at..).unwrap_or_default(), after).map_err(|count| at + count)?;
     match extent {
         None => Ok(false),
-        // Not at the end of a whole file.
-        Some(extent) if extent.is_endless() => {
+        // Not at the end of a whole file. Any last byte may look like a kind of a later version.
+        Some(extent) if extent.is_endless() && (kind::FOOTER..0x10).contains(&extent.kind) => {
             Ok(after != After::Nothing && followers < FOLLOWERS && !bytes.ends_with(&MAGIC))
         }
         Some(extent) if !kinds(extent.kind) => Ok(false),
@@ -262,34 +262,34 @@ fn begins_before(
         Some(extent) if extent.end > MAX_CHUNK_BYTES => Ok(false),
         Some(_) if followers == 0 => Ok(true),
         Some(extent) => {
-            let next = at as u64 + extent.end;
-            let may_be_cut = matches!(extent.kind, kind::MESSAGE | kind::DATA_END);
-            let after = if may_be_cut || after == After::More { after } else { After::Nothing };
-            let followers = if extent.is_proved() { 0 } else { followers - 1 };
-            begins_before(bytes, after, next, |_| true, followers)
+            let is_end = extent.kind == kind::DATA_END;
+            let may_be_cut = is_end || extent.kind == kind::MESSAGE || after == After::More;
+            let after = if may_be_cut { after } else { After::Nothing };
+            let followers = if is_end && extent.is_proved() { 0 } else { followers - 1 };
+            begins_before(bytes, after, at as u64 + extent.end, |_| true, followers)
         }
     }
 }
 
 /// Returns where the record after this one begins, whose lengths do not prove its end. If that is not
-/// at its end, its length is wrong, or its first byte is a stray one. Searches as far as `known`. The
-/// end is right if `begins` finds this record itself, at 0.
+/// at its end, its length is wrong, or its first byte is a stray one. Searches as far as `known`.
 pub(super) fn next_start<E>(
     extent: &Extent,
     known: u64,
     mut begins: impl FnMut(u64) -> Result<bool, E>,
 ) -> Result<u64, E> {
     // More fields may be records, if they are long enough: then the length is wrong.
-    let more = extent.end - extent.fields;
-    let more = match () {
-        _ if more < RECORD_HEAD as u64 => extent.end,
+    let more = match extent.end - extent.fields {
+        more if more < RECORD_HEAD as u64 => extent.end,
         // Its fields are records.
         _ if extent.is_chunk => extent.fields,
         _ => 1,
     };
-    let ends = (more..extent.end.min(known)).chain([0]);
+    // A chunk begins here, whatever follows. The end of another record is right if that is found.
+    let right = if extent.is_chunk { extent.end } else { 0 };
+    let ends = (more..extent.end.min(known)).chain([right]);
     for at in std::iter::once(1).chain(ends).chain(1..extent.end.min(known)) {
-        if at < known && begins(at)? {
+        if (at < known || at == right) && begins(at)? {
             return Ok(if at == 0 { extent.end } else { at });
         }
     }

@@ -43,7 +43,8 @@ impl Message {
     /// Topic and frames of a message that a part begins with if it lies before the part.
     pub(super) fn latched(&self) -> Vec<(String, String)> {
         let is_latched = ["durability: 1\\n", "durability: transient_local"];
-        if !is_latched.iter().any(|text| self.topic.contains(text)) {
+        let has_profiles = self.topic.contains("\"offered_qos_profiles\": ");
+        if !has_profiles || !is_latched.iter().any(|text| self.topic.contains(text)) {
             return Vec::new();
         }
         let has_frames = self.topic.contains(" tf2_msgs/msg/TFMessage ");
@@ -76,8 +77,11 @@ impl Message {
             Some(b'M') => label.len() == 25,
             _ => false,
         });
-        // The laser is off, or the scans of a stream follow.
-        let is_status = [b"\n10Q\n\n", b"\n00P\n\n"].iter().any(|end| self.data.ends_with(*end));
+        // The laser is off, or the scans of a stream follow. With a damaged echo it is a malformed scan.
+        let echo = self.label().and_then(|label| label.strip_suffix(b"\0")).unwrap_or_default();
+        let is_status = [b"\n10Q\n\n", b"\n00P\n\n"]
+            .iter()
+            .any(|status| self.data.ends_with(&[echo, &status[..]].concat()));
         is_request && !is_status || self.is_laser_scan() && super::foreign::is_readable(&self.data)
     }
 
@@ -270,6 +274,8 @@ pub(super) struct Layout {
     /// Chunks, and where their records end.
     pub(super) chunks: Vec<(Range<usize>, usize)>,
     pub(super) summary: Range<usize>,
+    /// End of the first record of the summary.
+    summary_begun: usize,
     /// True if a checksum of a file without chunks covers all bytes before the summary.
     pub(super) has_sum: bool,
 }
@@ -286,6 +292,7 @@ impl Layout {
             indexes: Vec::new(),
             chunks: Vec::new(),
             summary: file.len()..file.len(),
+            summary_begun: 0,
             has_sum: false,
         };
         let (mut at, mut messages) = (MAGIC.len(), messages.iter());
@@ -350,6 +357,7 @@ impl Layout {
                 }
             }
         }
+        layout.summary_begun = at + 9 + split(&file[at..]).1.len();
         layout.boundaries.sort_unstable();
         layout.known.sort_unstable();
         layout
@@ -378,8 +386,9 @@ impl Layout {
         self.unproved.iter().any(is_hit)
     }
 
-    /// Returns what is lost with a record whose head is damaged at `at`: all records that it reaches
-    /// over if nothing in it shows its length, and all data after it if it looks like their end.
+    /// Returns what is lost with a record whose head is damaged at `at`, or has moved from there: all
+    /// records that it reaches over if nothing in it shows its length, and all data after it if it looks
+    /// like their end.
     pub(super) fn swallowed(
         &self,
         whole: &[u8],
@@ -454,8 +463,8 @@ impl Layout {
         // With the bytes that are inserted between records.
         let before =
             |count: isize| is_hit(&(edge(&self.known, own.start, -count) - 1..own.start + 1));
-        let after =
-            |count: isize| is_hit(&(own.end - 1..edge(&self.boundaries, own.end, count) + 1));
+        let edges = [&self.boundaries[..], &[self.summary_begun]].concat();
+        let after = |count: isize| is_hit(&(own.end - 1..edge(&edges, own.end, count) + 1));
         before(1) && after(2) || before(2) && after(1)
     }
 

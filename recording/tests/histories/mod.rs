@@ -628,6 +628,7 @@ impl History {
                         if kind == 3 {
                             hits.extend([end_of..end_of + width, end..end + width]);
                         }
+                        hits.extend(layout.swallowed(&whole.bytes, &file.bytes, end_of));
                     }
                     if let Some((chunk, records)) = chunk {
                         hits.push(records.saturating_sub(width)..*records);

@@ -300,7 +300,7 @@ impl Records {
         let known = self.window.peek(extent.end.min(MAX_CHUNK_BYTES) as usize)?.len() as u64;
         next_start(extent, known, |at| {
             let kinds = match at {
-                0 => |_| true,
+                _ if at == 0 || at == extent.end => |_| true,
                 _ if at == 1 || at == extent.fields => is_known,
                 _ => self.kinds_to_find()?,
             };
