@@ -281,7 +281,7 @@ impl fmt::Display for Sentence<'_> {
                 if let Some(baud_rate) = baud_rate {
                     write!(
                         f,
-                        ", and the baud rate of the serial server ({baud_rate} in its address): it must be the sensor's, which is 19200 after power-up"
+                        ", and the baud rate of the serial server ({baud_rate} in its address): it must be the sensor's, which is usually 19200 after power-up"
                     )?;
                 }
                 if sensor.starts_with("tcp://") {

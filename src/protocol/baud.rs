@@ -7,13 +7,13 @@ use super::ParameterError;
 
 /// A baud rate that a sensor knows (C-42-3320-A p. 2 and 5).
 ///
-/// A sensor speaks [`BaudRate::B19200`] after power-up. As text, as a `u32` and as
-/// data (feature `serde`) it is the number of bits per second: 115200.
+/// After power-up it is [`BaudRate::B19200`], unless Hokuyo's `URG_Configurer` has changed that. As
+/// text, as a `u32` and as data (feature `serde`) it is the number of bits per second: 115200.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(into = "u32", try_from = "u32"))]
 pub enum BaudRate {
-    /// 19,200 bit/s, the baud rate after power-up.
+    /// 19,200 bit/s, the usual baud rate after power-up.
     B19200,
     /// 57,600 bit/s.
     B57600,

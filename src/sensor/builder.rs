@@ -56,7 +56,7 @@ impl SensorBuilder {
     }
 
     /// Sets the baud rate to run at. The driver detects the sensor's current baud rate and changes
-    /// it. By default the sensor keeps its own (19,200 baud after power-up). No effect on USB.
+    /// it. By default the sensor keeps its own (usually 19,200 after power-up). No effect on USB.
     pub fn baud_rate(mut self, baud_rate: BaudRate) -> Self {
         self.config.baud_rate = Some(baud_rate);
         self

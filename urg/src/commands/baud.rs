@@ -11,8 +11,8 @@ use crate::port::open::{open, proven_baud_rate};
 
 /// Set the baud rate of the sensor
 ///
-/// The sensor keeps this baud rate until you power-cycle it. After that it is at 19200
-/// baud again. `urg` and programs that use tokio-scip detect it at any baud rate.
+/// The sensor keeps this baud rate until you power-cycle it. After that it is at its
+/// default again, usually 19200. `urg` and programs that use tokio-scip detect it at any baud rate.
 #[derive(Debug, clap::Args)]
 #[command(allow_missing_positional = true, after_help = "Example:\n  urg baud /dev/ttyUSB0 115200")]
 pub(crate) struct Baud {
