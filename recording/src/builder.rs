@@ -20,14 +20,12 @@ pub struct RecorderBuilder {
 }
 
 impl Recorder {
-    /// Creates a new file and records into it. [`builder`](Self::builder) has more
-    /// options.
+    /// Creates a new file and records into it. [`builder`](Self::builder) has more options.
     ///
     /// # Errors
     ///
-    /// Fails with [`RecordingError::Exists`] if there is such a file,
-    /// [`RecordingError::Open`] if it cannot be created, and [`RecordingError::Write`] if its
-    /// head cannot be written.
+    /// Fails with [`RecordingError::Exists`] if there is such a file, [`RecordingError::Open`] if it cannot
+    /// be created, and [`RecordingError::Write`] if its head cannot be written.
     pub fn create(path: impl AsRef<Path>) -> Result<Self, RecordingError> {
         Self::builder().create(path)
     }
@@ -51,9 +49,8 @@ impl RecorderBuilder {
         self
     }
 
-    /// Sets whether to overwrite an existing file. Default: `false`. Always uses an empty
-    /// file, and always [refuses](RecordingError::Exists) further files of an older, split
-    /// recording.
+    /// Sets whether to overwrite an existing file. Default: `false`. Always uses an empty file, and always
+    /// [refuses](RecordingError::Exists) further files of an older, split recording.
     pub fn overwrite(mut self, overwrite: bool) -> Self {
         self.overwrite = overwrite;
         self
@@ -72,11 +69,10 @@ impl RecorderBuilder {
 
     /// Splits the recording into files of this duration.
     ///
-    /// A file ends after the first scan that reaches the limit, and the recording continues
-    /// in the next file: `run.mcap` is followed by `run_0002.mcap`, `run_0003.mcap` and so
-    /// on. Existing numbers are skipped, so no file is overwritten. No scan is lost or
-    /// doubled. You can replay each file alone: it is complete, with the metadata and a reply
-    /// to `V`.
+    /// A file ends after the first scan that reaches the limit, and the recording continues in the next file:
+    /// `run.mcap` is followed by `run_0002.mcap`, `run_0003.mcap` and so on. Existing numbers are skipped, so
+    /// no file is overwritten. No scan is lost or doubled. You can replay each file alone: it is complete,
+    /// with the metadata and a reply to `V`.
     ///
     /// Without a limit, a recording is split after 4 GB, because FAT has no longer files, and after
     /// 65,000 chunks, 18 hours or more. This bounds the index of a file, which stays in memory until
@@ -93,19 +89,17 @@ impl RecorderBuilder {
         self
     }
 
-    /// Splits the recording into files of this size; see
-    /// [`split_duration`](Self::split_duration). The index at the end of a file is extra:
-    /// less than 3 % at 10 scans per second.
+    /// Splits the recording into files of this size; see [`split_duration`](Self::split_duration). The index
+    /// at the end of a file is extra: less than 3 % at 10 scans per second.
     pub fn split_bytes(mut self, bytes: u64) -> Self {
         self.settings.limits.bytes = Some(bytes);
         self
     }
 
-    /// Removes the oldest files of a split recording while all files together are larger than
-    /// this. Never removes the current file. If you also limit the [size of a
-    /// file](Self::split_bytes) to at most half of it, the recording never takes more space, except
-    /// for the metadata and the index of the current file: old files are removed before a second of
-    /// data is written.
+    /// Removes the oldest files of a split recording while all files together are larger than this. Never
+    /// removes the current file. If you also limit the [size of a file](Self::split_bytes) to at most half of
+    /// it, the recording never takes more space, except for the metadata and the index of the current file:
+    /// old files are removed before a second of data is written.
     ///
     /// If you restart and create a recorder under the same name, it continues after the last
     /// file: it neither refuses nor overwrites existing files. While another recorder writes the
@@ -115,17 +109,15 @@ impl RecorderBuilder {
         self
     }
 
-    /// Removes the files of a split recording that ended longer ago than this, by the wall
-    /// clock; see [`keep_bytes`](Self::keep_bytes). Keeps files from before 2020, when the
-    /// clock was not set.
+    /// Removes the files of a split recording that ended longer ago than this, by the wall clock; see
+    /// [`keep_bytes`](Self::keep_bytes). Keeps files from before 2020, when the clock was not set.
     pub fn keep_duration(mut self, duration: Duration) -> Self {
         self.settings.limits.keep_duration = Some(duration);
         self
     }
 
-    /// Sets how often to sync the written bytes to the disk. If the power fails, you lose at
-    /// most this time plus one second. Default: 1 s. `None` leaves it to the system, which
-    /// takes half a minute on Linux.
+    /// Sets how often to sync the written bytes to the disk. If the power fails, you lose at most this time
+    /// plus one second. Default: 1 s. `None` leaves it to the system, which takes half a minute on Linux.
     ///
     /// A separate thread syncs, so a slow disk delays neither scans nor streams;
     /// [`late_syncs`](super::Progress::late_syncs) counts the syncs that took longer than this. If a
@@ -139,9 +131,8 @@ impl RecorderBuilder {
     /// Makes the recorder a black box: it holds the items of this time in memory, and writes them
     /// when you [trigger](Recorder::trigger) it. From then on it records everything.
     ///
-    /// Holds at most 4 MiB, about a minute and a half of full scans and their replies at 10 Hz, ten
-    /// seconds of a UST: beyond that the oldest items are dropped earlier. Without a trigger the file
-    /// stays empty.
+    /// Holds at most 4 MiB, about a minute and a half of full scans and their replies at 10 Hz, ten seconds
+    /// of a UST: beyond that the oldest items are dropped earlier. Without a trigger the file stays empty.
     ///
     /// ```
     /// # use std::time::Duration;
@@ -213,9 +204,8 @@ impl RecorderBuilder {
         Queue::into_file(file, self.settings).map(Recorder::new)
     }
 
-    /// Records into any writer, such as a pipe. Makes no further files: after 150,000 chunks,
-    /// 41 hours or more, a recording ends without an index, and other readers have to read it
-    /// from its beginning.
+    /// Records into any writer, such as a pipe. Makes no further files: after 150,000 chunks, 41 hours or
+    /// more, a recording ends without an index, and other readers have to read it from its beginning.
     ///
     /// # Errors
     ///

@@ -6,9 +6,8 @@ use std::sync::Arc;
 
 use super::left_out::{LeftOut, listed};
 
-/// Error of recording, reading or replaying. As for all errors of this crate, `Display`
-/// covers its own layer, [`source`](std::error::Error::source) returns the cause, and
-/// clones are cheap.
+/// Error of recording, reading or replaying. As for all errors of this crate, `Display` covers its own layer,
+/// [`source`](std::error::Error::source) returns the cause, and clones are cheap.
 #[derive(Debug, Clone, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordingError {
@@ -33,8 +32,7 @@ pub enum RecordingError {
         /// Path of the file.
         path: PathBuf,
     },
-    /// The file was removed, cut short or written to by another program. The recording
-    /// has ended.
+    /// The file was removed, cut short or written to by another program. The recording has ended.
     #[error("the recording has ended, and may be lost: its file {reason} by another program")]
     Gone {
         /// What happened to the file.

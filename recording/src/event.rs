@@ -44,8 +44,7 @@ pub enum Event {
         /// Reason of the failure.
         error: String,
     },
-    /// Scans were overwritten before their consumer read them. A recording still has their
-    /// replies.
+    /// Scans were overwritten before their consumer read them. A recording still has their replies.
     Missed {
         /// Number of scans.
         scans: u64,
@@ -88,9 +87,8 @@ impl Events {
         Self::default()
     }
 
-    /// Returns the events of the stream's next item. An error is an event itself. Before a
-    /// scan, the sensor may have come [back](Event::Reconnected), and scans may have been
-    /// [missed](Event::Missed).
+    /// Returns the events of the stream's next item. An error is an event itself. Before a scan, the sensor
+    /// may have come [back](Event::Reconnected), and scans may have been [missed](Event::Missed).
     pub fn from_item(&mut self, item: &Result<Scan, Error>) -> impl Iterator<Item = Event> + use<> {
         let events = match item {
             Ok(scan) => {

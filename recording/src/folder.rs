@@ -13,16 +13,14 @@ const METADATA_FILE: &str = "metadata.yaml";
 /// Longest description to read. A topic takes about a kilobyte.
 const MAX_METADATA_BYTES: u64 = 16 << 20;
 
-/// Returns the files of a recording, in order: `path` itself, or if it is a folder, the files that
-/// its `metadata.yaml` lists. Without one, as after a kill, the `.mcap` files in the folder follow each
-/// other by the number at the end of their names. A file that lies beside its compressed form is read in
-/// place of it.
+/// Returns the files of a recording, in order: `path` itself, or if it is a folder, the files that its
+/// `metadata.yaml` lists. Without one, as after a kill, the `.mcap` files in the folder follow each other by
+/// the number at the end of their names. A file that lies beside its compressed form is read in place of it.
 ///
 /// # Errors
 ///
-/// Fails with [`RecordingError::Open`] if the folder cannot be read, [`RecordingError::Folder`] if it
-/// has no recording, and [`RecordingError::OtherFormat`] if a file's name shows that it is a bag in
-/// another format.
+/// Fails with [`RecordingError::Open`] if the folder cannot be read, [`RecordingError::Folder`] if it has no
+/// recording, and [`RecordingError::OtherFormat`] if a file's name shows that it is a bag in another format.
 pub fn recording_files(path: impl AsRef<Path>) -> Result<Vec<PathBuf>, RecordingError> {
     let path = path.as_ref();
     if !path.is_dir() {

@@ -78,8 +78,7 @@ fn revolution(message: &LaserScan) -> Option<f32> {
     Some(message.scan_time / turns).filter(|time| REVOLUTIONS.contains(time))
 }
 
-/// Intensities of a message, unless they are none of a sensor: whole numbers of 18 bits, one for each
-/// range.
+/// Intensities of a message, unless they are none of a sensor: whole numbers of 18 bits, one for each range.
 fn intensities(message: &LaserScan) -> Vec<u32> {
     let is_one = |value: &f32| (0.0..=LONGEST as f32).contains(value) && value.fract() == 0.0;
     let intensities = message.intensities.iter().filter(|value| is_one(value));

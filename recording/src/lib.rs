@@ -1,10 +1,9 @@
 //! Recordings of Hokuyo URG laser range sensors: the scans of a stream and the replies of a sensor,
 //! in a file that you can open with robotics tools and replay. [`ros`] has the ROS 2 messages.
 //!
-//! [`Recorder`] writes [MCAP](https://mcap.dev) as ROS 2 does, so that `ros2 bag play`, Foxglove,
-//! Lichtblick, PlotJuggler and others read it. [`Recording`] reads such a file, returns its scans,
-//! and replays the sensor. To complete a file that was cut off use [`repair`]; to copy a part of
-//! one use [`cut`].
+//! [`Recorder`] writes [MCAP](https://mcap.dev) as ROS 2 does, so that `ros2 bag play`, Foxglove, Lichtblick,
+//! PlotJuggler and others read it. [`Recording`] reads such a file, returns its scans, and replays the
+//! sensor. To complete a file that was cut off use [`repair`]; to copy a part of one use [`cut`].
 //!
 //! ```
 //! use urg_recording::{Recorder, Recording, ReplayPace};
@@ -63,14 +62,13 @@
 //!
 //! # Replaying
 //!
-//! [`Recording::replay`] returns an [`Emulator`](urg_emulator::Emulator) on USB. It answers `V`
-//! as the recorded sensor did, in SCIP 2 `VV` and `PP`. It answers each poll with the next reply
-//! recorded for the stream, byte for byte, including refused and malformed replies, and replies to
-//! scans that the recording's own consumer missed. Scans have the recorded stamps. If you ask for
-//! another window than the recorded one, each step has its latest known value, or
-//! [none](tokio_scip::Geometry::unknown_value). Fences use up no reply, unless the stream has one
-//! step and the fence asks for the same. Of several sensors in one file, the first is replayed. To get
-//! the same scans without a replay, use [`Recording::scans`].
+//! [`Recording::replay`] returns an [`Emulator`](urg_emulator::Emulator) on USB. It answers `V` as the
+//! recorded sensor did, in SCIP 2 `VV` and `PP`. It answers each poll with the next reply recorded for the
+//! stream, byte for byte, including refused and malformed replies, and replies to scans that the recording's
+//! own consumer missed. Scans have the recorded stamps. If you ask for another window than the recorded one,
+//! each step has its latest known value, or [none](tokio_scip::Geometry::unknown_value). Fences use up no
+//! reply, unless the stream has one step and the fence asks for the same. Of several sensors in one file, the
+//! first is replayed. To get the same scans without a replay, use [`Recording::scans`].
 //!
 //! In SCIP 2 the driver polls a replay, too, and a stream (`MD`) that another program asks for sends
 //! every scan. Subscribe with [`Rate::UNLIMITED`](tokio_scip::Rate::UNLIMITED) to keep the recorded
@@ -80,10 +78,9 @@
 //! before the first scan, `V` is answered with what the metadata have.
 //!
 //! The poll after the last reply ends the driver. Streams then end as they do after
-//! [`Sensor::close`](tokio_scip::Sensor::close): with `None`, and no error before it. If a part of
-//! the file could not be read, the driver ends with
-//! [`Disconnected`](tokio_scip::ErrorKind::Disconnected), whose source contains the
-//! [`RecordingError`].
+//! [`Sensor::close`](tokio_scip::Sensor::close): with `None`, and no error before it. If a part of the file
+//! could not be read, the driver ends with [`Disconnected`](tokio_scip::ErrorKind::Disconnected), whose
+//! source contains the [`RecordingError`].
 //!
 //! A replay reads the recording on demand, in small pieces, on the runtime's thread.
 

@@ -26,10 +26,9 @@ pub(super) struct Unread {
     pub(super) details: String,
 }
 
-/// Returns the topic of a channel if recordings have it, and the topic that its messages are read as,
-/// or why they cannot be read. Scans may be on any topic. The types are looked up for each message,
-/// since a damaged file may define one again: then it makes no difference whether a channel is
-/// repeated.
+/// Returns the topic of a channel if recordings have it, and the topic that its messages are read as, or why
+/// they cannot be read. Scans may be on any topic. The types are looked up for each message, since a damaged
+/// file may define one again: then it makes no difference whether a channel is repeated.
 fn topic(channel: &Channel<'_>) -> (Option<Topic>, Result<Topic, (LeftOutReason, String)>) {
     let known = Topic::ALL.into_iter().find(|topic| topic.name() == channel.topic);
     let is_a = |topic: &Topic| channel.schema == Some(topic.message_type().name());

@@ -20,8 +20,7 @@ const MAX_PART_ENTRIES: usize = 65_000;
 const MAX_PART_BYTES: u64 = 4_000_000_000;
 /// A larger number is not one of ours. There is room for further ones after it.
 const MAX_PART_NUMBER: u32 = 999_999_999;
-/// A file time before 2020 comes from a clock that was not set yet, and tells nothing
-/// about the file's age.
+/// A file time before 2020 comes from a clock that was not set yet, and tells nothing about the file's age.
 const CLOCK_IS_SET: Duration = Duration::from_secs(50 * 365 * 86_400);
 
 /// Limits of a file of a recording.
@@ -54,8 +53,7 @@ pub(super) struct Parts {
 }
 
 impl Parts {
-    /// Starts with an empty file. `path` is the recording's first file. `syncer` syncs each further
-    /// one.
+    /// Starts with an empty file. `path` is the recording's first file. `syncer` syncs each further one.
     pub(super) fn new(
         limits: Limits,
         path: Option<PathBuf>,
@@ -115,8 +113,7 @@ impl Parts {
         Counted { out, progress: Arc::clone(&self.progress) }
     }
 
-    /// Looks for finished files of the recording, if old ones are removed. The current one is still
-    /// empty.
+    /// Looks for finished files of the recording, if old ones are removed. The current one is still empty.
     fn find_old(&mut self) {
         self.old.clear();
         let Some(path) = self.path.as_ref().filter(|_| self.limits.removes_old()) else { return };

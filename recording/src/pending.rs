@@ -16,9 +16,8 @@ const MAX_BYTES: usize = 1 << 20;
 
 /// Holds each reply back until the recorded stream shows whether it has a scan of it.
 ///
-/// In SCIP 2 a sensor may send more scans than the rate of the stream asks for. When the stream's
-/// next scan is recorded, scans that the sensor sent before it are dropped, unless the consumer has
-/// missed some.
+/// In SCIP 2 a sensor may send more scans than the rate of the stream asks for. When the stream's next scan
+/// is recorded, scans that the sensor sent before it are dropped, unless the consumer has missed some.
 #[derive(Debug, Default)]
 pub(super) struct PendingReplies {
     /// Window and sequence number of the latest recorded scan. While there is none, replies are written

@@ -301,8 +301,7 @@ impl StreamPolls {
         is_known
     }
 
-    /// Returns the window of the stream that a poll belongs to. The latest description of its sensor
-    /// counts.
+    /// Returns the window of the stream that a poll belongs to. The latest description of its sensor counts.
     fn stream_of(&mut self, poll: &PollReply) -> Option<Window> {
         match self.streams.iter().rposition(|stream| poll.is_of(stream)) {
             Some(place) => {
@@ -321,9 +320,8 @@ impl StreamPolls {
         }
     }
 
-    /// Finds the stream to which the first poll belongs. The first polls may be
-    /// widened ones, because a part of a recording begins anywhere. The driver does not widen one of
-    /// four.
+    /// Finds the stream to which the first poll belongs. The first polls may be widened ones, because a part
+    /// of a recording begins anywhere. The driver does not widen one of four.
     fn find_stream(&mut self) {
         let Some(first) = self.waiting.front() else { return };
         let is_like = |poll: &&PollReply| poll.asked.model.is_like(&first.asked.model);

@@ -152,10 +152,9 @@ impl Recording {
         self
     }
 
-    /// Metadata of the sensor, as recorded by
-    /// [`Recorder::describe`](super::Recorder::describe): `vendor`, `product`, `firmware`,
-    /// `protocol`, `serial_number`, `status`, `baud_rate` (`none` on USB), `start`, `end`,
-    /// `cluster`, `rate`; in SCIP 2 also the lines of the reply to `PP`, such as `MODL`. Empty if you
+    /// Metadata of the sensor, as recorded by [`Recorder::describe`](super::Recorder::describe): `vendor`,
+    /// `product`, `firmware`, `protocol`, `serial_number`, `status`, `baud_rate` (`none` on USB), `start`,
+    /// `end`, `cluster`, `rate`; in SCIP 2 also the lines of the reply to `PP`, such as `MODL`. Empty if you
     /// did not call it.
     pub fn metadata(&self) -> &BTreeMap<String, String> {
         &self.metadata
@@ -172,10 +171,9 @@ impl Recording {
         self.metadata.get("rate")?.parse().ok()
     }
 
-    /// Returns true if the whole file was read and its end is missing or damaged: the
-    /// recorder died, the disk was full, or it is still recording. Other readers need the
-    /// end, an index, to find the messages. Use [`repair`](super::repair) to make a
-    /// complete file.
+    /// Returns true if the whole file was read and its end is missing or damaged: the recorder died, the disk
+    /// was full, or it is still recording. Other readers need the end, an index, to find the messages. Use
+    /// [`repair`](super::repair) to make a complete file.
     pub fn is_truncated(&self) -> bool {
         self.records.is_truncated()
     }

@@ -15,17 +15,14 @@ use crate::event::Events;
 use tokio_scip::RawReply;
 use tokio_scip::{Error, ReplyObservation, Scan, ScanStream, Sensor};
 
-/// Records the items of a [`ScanStream`] and the replies of a sensor into an
-/// MCAP file.
+/// Records the items of a [`ScanStream`] and the replies of a sensor into an MCAP file.
 ///
-/// No method waits for a disk. One thread writes the file, and ends a chunk of it at least
-/// once a second. Another thread makes the system write it to the disk, once a second. If the
-/// process dies or the disk is full, you lose at most one second; if the power fails, at most
-/// two, unless the disk is slower ([`sync_interval`](super::RecorderBuilder::sync_interval)). The
-/// [module](super) has an example.
+/// No method waits for a disk. One thread writes the file, and ends a chunk of it at least once a second.
+/// Another thread makes the system write it to the disk, once a second. If the process dies or the disk is
+/// full, you lose at most one second; if the power fails, at most two, unless the disk is slower
+/// ([`sync_interval`](super::RecorderBuilder::sync_interval)). The [module](super) has an example.
 ///
-/// Dropping a recorder ends the file as [`finish`](Self::finish) does, without
-/// waiting for it.
+/// Dropping a recorder ends the file as [`finish`](Self::finish) does, without waiting for it.
 #[derive(Debug)]
 pub struct Recorder {
     queue: Arc<Queue>,
@@ -110,9 +107,8 @@ impl Recorder {
         Ok(())
     }
 
-    /// Records an item of a [`ScanStream`]: a scan or an error. Also records an
-    /// event for missed scans and for the first scan after a lost link. Never
-    /// waits.
+    /// Records an item of a [`ScanStream`]: a scan or an error. Also records an event for missed scans and
+    /// for the first scan after a lost link. Never waits.
     ///
     /// # Errors
     ///
@@ -188,8 +184,7 @@ impl Recorder {
 
 impl Drop for Recorder {
     fn drop(&mut self) {
-        // Requests the end, because the observer may keep the queue open for longer. Does not
-        // wait for it.
+        // Requests the end, because the observer may keep the queue open for longer. Does not wait for it.
         drop(self.queue.finish());
     }
 }

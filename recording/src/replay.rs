@@ -14,14 +14,12 @@ use tokio_scip::protocol::scip2::Stamp;
 use urg_emulator::{Emulator, Model as EmulatedModel, ReplayPace, Script};
 
 impl Recording {
-    /// Creates an emulated sensor that answers as the recorded one did: see [the
-    /// module](super#replaying).
+    /// Creates an emulated sensor that answers as the recorded one did: see [the module](super#replaying).
     ///
     /// # Errors
     ///
-    /// Fails with [`RecordingError::NoScans`] if there is nothing to replay. If the
-    /// cause is an unreadable file, fails with [`RecordingError::Damaged`] or
-    /// [`RecordingError::Read`].
+    /// Fails with [`RecordingError::NoScans`] if there is nothing to replay. If the cause is an unreadable
+    /// file, fails with [`RecordingError::Damaged`] or [`RecordingError::Read`].
     pub fn replay(self, pace: ReplayPace) -> Result<Emulator, RecordingError> {
         let replies = Replies::new(Polls::new(self))?;
         let mut lines = replies.polls.version_lines();
@@ -87,8 +85,7 @@ impl Replies {
         Ok(replies)
     }
 
-    /// Reads the next reply to the stream's polls. Remembers the values of replies to
-    /// other polls.
+    /// Reads the next reply to the stream's polls. Remembers the values of replies to other polls.
     fn read(&mut self) {
         self.next = None;
         while let Some(item) = self.polls.next() {

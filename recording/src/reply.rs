@@ -25,8 +25,7 @@ pub struct RecordedReply {
     /// Command of SCIP 1.1 that it answers, even if the reply is malformed. `None` for the reply to a
     /// fence and for an unsolicited one.
     pub command: Option<Command>,
-    /// Request of SCIP 2 that it answers, even if the reply is malformed. `None` for an unsolicited
-    /// reply.
+    /// Request of SCIP 2 that it answers, even if the reply is malformed. `None` for an unsolicited reply.
     pub request: Option<Request>,
     /// Bytes of the reply, including the two LFs at its end.
     pub bytes: Vec<u8>,

@@ -25,15 +25,14 @@ impl Recording {
     /// Each has the geometry of its sensor: a URG-04LX in SCIP 1.1, otherwise what its reply to `PP`
     /// or the metadata tell, whichever was recorded last.
     ///
-    /// Scans whose reply was not recorded are made of the `/scan` messages, also of ones that
-    /// another program recorded, if their directions are steps of a sensor: the described one, or one
-    /// with 1,024, 1,440 or 2,880 steps in a revolution and the limits of the message. Distances are the
-    /// recorded ones, rounded to millimetres. Messages have no error codes: a range beyond the limits,
-    /// such as `+Inf`, becomes the sensor's [value for
-    /// that](tokio_scip::Geometry::far_value), and `NaN` and `-Inf` become an [unknown
-    /// value](tokio_scip::Geometry::unknown_value). Ranges of 0 to 0.019 m are error codes, as
-    /// `urg_node` and `hokuyo_node` write them. `urg_node` writes 0 as `NaN`, and so do filters what
-    /// they remove: it stays unknown.
+    /// Scans whose reply was not recorded are made of the `/scan` messages, also of ones that another program
+    /// recorded, if their directions are steps of a sensor: the described one, or one with 1,024, 1,440 or
+    /// 2,880 steps in a revolution and the limits of the message. Distances are the recorded ones, rounded to
+    /// millimetres. Messages have no error codes: a range beyond the limits, such as `+Inf`, becomes the
+    /// sensor's [value for that](tokio_scip::Geometry::far_value), and `NaN` and `-Inf` become an [unknown
+    /// value](tokio_scip::Geometry::unknown_value). Ranges of 0 to 0.019 m are error codes, as `urg_node` and
+    /// `hokuyo_node` write them. `urg_node` writes 0 as `NaN`, and so do filters what they remove: it stays
+    /// unknown.
     ///
     /// If the file describes several streams, as after [`cut`](super::cut) has joined recordings,
     /// the latest metadata before a scan decides which stream it must belong to, once that stream has
@@ -52,9 +51,8 @@ impl Recording {
     ///   the motor is in the header stamp of the recorded `LaserScan` message.
     /// - `reconnects` is 0: a gap shows in the stamps.
     ///
-    /// A damaged part of the file is an item, [`RecordingError::Damaged`], and more
-    /// scans follow. If the recording has neither replies nor such messages, the only item is
-    /// [`RecordingError::NoScans`].
+    /// A damaged part of the file is an item, [`RecordingError::Damaged`], and more scans follow. If the
+    /// recording has neither replies nor such messages, the only item is [`RecordingError::NoScans`].
     ///
     /// ```no_run
     /// use tokio_scip::Scan;
@@ -110,15 +108,13 @@ impl RecordedScans {
         self.polls.failed_polls
     }
 
-    /// Time from the file's first scan to the latest one, as [`Recording::range`] takes
-    /// it.
+    /// Time from the file's first scan to the latest one, as [`Recording::range`] takes it.
     pub fn position(&self) -> Duration {
         self.polls.recording.range.since_first_scan(self.log_time)
     }
 
-    /// Version of the recorded sensor: its first reply to `V` among the records read so far, or else
-    /// what the [metadata](Recording::metadata) have of it. Fields that the recording does not
-    /// have are empty.
+    /// Version of the recorded sensor: its first reply to `V` among the records read so far, or else what the
+    /// [metadata](Recording::metadata) have of it. Fields that the recording does not have are empty.
     pub fn version(&self) -> Version {
         parse_version(&self.polls.version_lines()).unwrap_or_default()
     }

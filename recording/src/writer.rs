@@ -18,9 +18,8 @@ const LIBRARY: &str = concat!("tokio-scip ", env!("CARGO_PKG_VERSION"));
 /// Longest time until a message is in the file: on the clock of the recording, which may
 /// be paused, and on the real one.
 const CHUNK_SPAN: Duration = Duration::from_secs(1);
-/// A file is split right after a scan, so that its reply is in the same file. If a
-/// consumer is always behind, there is no such point; after this time the file is split
-/// anywhere.
+/// A file is split right after a scan, so that its reply is in the same file. If a consumer is always behind,
+/// there is no such point; after this time the file is split anywhere.
 const MAX_SPLIT_DELAY: Duration = Duration::from_secs(1);
 
 /// Time of an event, on both clocks.
@@ -209,8 +208,7 @@ impl Writer {
         *after_scan || log_time.saturating_sub(full) >= nanos(MAX_SPLIT_DELAY)
     }
 
-    /// Takes a step that may write a chunk. If the file may not grow so far, takes it in a further
-    /// file.
+    /// Takes a step that may write a chunk. If the file may not grow so far, takes it in a further file.
     fn step(&mut self, step: impl Fn(&mut Mcap) -> io::Result<()>) -> io::Result<()> {
         match step(&mut self.mcap) {
             Err(error) if self.parts.continues_after(&error) => {

@@ -36,8 +36,7 @@ pub enum Compression {
 impl Compression {
     const ALL: [Self; 3] = [Self::Plain, Self::Lz4, Self::Zstd];
 
-    /// Returns true if this build writes it: LZ4 with feature `compression`, Zstandard with feature
-    /// `zstd`.
+    /// Returns true if this build writes it: LZ4 with feature `compression`, Zstandard with feature `zstd`.
     pub fn is_written(self) -> bool {
         match self {
             Self::Plain => true,
@@ -90,8 +89,7 @@ fn zstd(records: &[u8], out: &mut Vec<u8>) -> Option<()> {
     Some(())
 }
 
-/// Appends a frame of LZ4. Its blocks have 64 KiB: of a chunk that is cut off, the whole ones can be
-/// read.
+/// Appends a frame of LZ4. Its blocks have 64 KiB: of a chunk that is cut off, the whole ones can be read.
 #[cfg(feature = "compression")]
 fn lz4(records: &[u8], out: &mut Vec<u8>) -> Result<(), lz4_flex::frame::Error> {
     use lz4_flex::frame::{BlockSize, FrameEncoder, FrameInfo};

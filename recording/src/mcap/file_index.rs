@@ -30,8 +30,7 @@ pub(super) fn parts_outside(index: &[u8], times: &RangeInclusive<u64>) -> Vec<Ra
     let mut parts: Vec<Range<u64>> = Vec::new();
     for chunk in chunks {
         match parts.last_mut() {
-            // Only chunks that follow each other directly, so that everything between
-            // two chunks is read.
+            // Only chunks that follow each other directly, so that everything between two chunks is read.
             Some(part) if part.end == chunk.start => part.end = chunk.end,
             _ => parts.push(chunk),
         }

@@ -180,8 +180,7 @@ fn has_lengths(kind: u8) -> bool {
     )
 }
 
-/// Parses the head of the chunk at the beginning of `bytes`, whatever its kind says, if its lengths
-/// agree.
+/// Parses the head of the chunk at the beginning of `bytes`, whatever its kind says, if its lengths agree.
 pub(super) fn chunk_head(bytes: &[u8]) -> Option<ChunkHead> {
     let mut fields = Fields(bytes.get(RECORD_HEAD..)?);
     let (_start, _end, size) = (fields.u64()?, fields.u64()?, fields.u64()?);
@@ -305,8 +304,7 @@ pub(super) fn is_message_index(content: &[u8]) -> bool {
     })
 }
 
-/// Returns true if a record has what its kind must have. Other readers refuse a text that is not
-/// UTF-8.
+/// Returns true if a record has what its kind must have. Other readers refuse a text that is not UTF-8.
 pub(super) fn is_well_formed(kind: u8, content: &[u8]) -> bool {
     let mut fields = Fields(content);
     match kind {

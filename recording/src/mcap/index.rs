@@ -1,6 +1,5 @@
-//! [`Index`] and [`ChunkMessages`]: where a file has what, for readers that search it. A
-//! writer keeps only the index of what it has written, so the index decides the memory of
-//! a long recording.
+//! [`Index`] and [`ChunkMessages`]: where a file has what, for readers that search it. A writer keeps only
+//! the index of what it has written, so the index decides the memory of a long recording.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -36,8 +35,7 @@ pub(super) struct Index {
     span: Option<(u64, u64)>,
     /// Number of messages of each channel.
     messages: BTreeMap<u16, u64>,
-    /// Set once the index was too long. Such a file gets no summary: it can be read but not
-    /// searched.
+    /// Set once the index was too long. Such a file gets no summary: it can be read but not searched.
     is_too_long: bool,
 }
 
@@ -153,9 +151,8 @@ impl Index {
         (self.chunk_indexes, self.metadata_indexes) = (Vec::new(), Vec::new());
     }
 
-    /// Appends the summary to `out`, which starts at `base` in the file. Returns the
-    /// positions in the file of the summary and of the offsets at its end, or 0 for both
-    /// if the index was too long.
+    /// Appends the summary to `out`, which starts at `base` in the file. Returns the positions in the file of
+    /// the summary and of the offsets at its end, or 0 for both if the index was too long.
     pub(super) fn put_summary(mut self, out: &mut Vec<u8>, base: u64) -> [u64; 2] {
         if self.is_too_long {
             return [0, 0];

@@ -128,8 +128,7 @@ impl<W: Write> McapWriter<W> {
         self.write(&record)
     }
 
-    /// Ends the open chunk and hands it to the system: from now on it survives the death
-    /// of the process.
+    /// Ends the open chunk and hands it to the system: from now on it survives the death of the process.
     pub(crate) fn flush(&mut self) -> io::Result<()> {
         self.end_chunk()?;
         self.out.flush()

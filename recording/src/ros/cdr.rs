@@ -1,10 +1,8 @@
-//! CDR as ROS 2 uses it: plain CDR (XCDR1), little-endian, after its encapsulation
-//! header. Reads XCDR2, too, whose layout is the same unless a number has eight bytes. Knows no
-//! messages.
+//! CDR as ROS 2 uses it: plain CDR (XCDR1), little-endian, after its encapsulation header. Reads XCDR2, too,
+//! whose layout is the same unless a number has eight bytes. Knows no messages.
 //!
-//! Written by hand, because a message needs only a dozen primitives. The crates for CDR
-//! bring serde, which needs an owned struct for each message; this encodes a scan in
-//! place.
+//! Written by hand, because a message needs only a dozen primitives. The crates for CDR bring serde, which
+//! needs an owned struct for each message; this encodes a scan in place.
 
 /// Plain CDR, little-endian, no options.
 const HEADER: [u8; 4] = [0, 1, 0, 0];
@@ -104,8 +102,7 @@ impl<'a> CdrReader<'a> {
         std::str::from_utf8(self.text()?).ok()
     }
 
-    /// Reads a string in any character set, without its NUL. Some programs write an empty string
-    /// without one.
+    /// Reads a string in any character set, without its NUL. Some programs write an empty string without one.
     pub(super) fn text(&mut self) -> Option<&'a [u8]> {
         let bytes = self.bytes()?;
         Some(bytes.strip_suffix(&[0]).unwrap_or(bytes))

@@ -1,5 +1,4 @@
-//! `diagnostic_msgs/msg/DiagnosticArray`: its definition and encoding, for the condition
-//! of devices.
+//! `diagnostic_msgs/msg/DiagnosticArray`: its definition and encoding, for the condition of devices.
 
 use std::time::SystemTime;
 

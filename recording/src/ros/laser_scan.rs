@@ -57,9 +57,8 @@ pub struct LaserScan {
 
 /// Encodes `scan` as a `sensor_msgs/msg/LaserScan` into `out`, replacing its content.
 ///
-/// Pass the time of the first point as `stamp`: [`Scan::first_ray_stamp`], unless you
-/// have to correct a clock. A time before 1970 is written as 1970. The angles are in the
-/// frame `frame_id`.
+/// Pass the time of the first point as `stamp`: [`Scan::first_ray_stamp`], unless you have to correct a
+/// clock. A time before 1970 is written as 1970. The angles are in the frame `frame_id`.
 pub fn write_scan(out: &mut Vec<u8>, scan: &Scan, stamp: SystemTime, frame_id: &str) {
     let mut cdr = CdrWriter::new(out);
     write_header(&mut cdr, stamp, frame_id);

@@ -1,6 +1,5 @@
-//! ROS 2 messages of a sensor: scans, diagnostics and places as CDR, for any
-//! transport to ROS. Recordings and `urg publish` use them; you can pass them to your own
-//! middleware.
+//! ROS 2 messages of a sensor: scans, diagnostics and places as CDR, for any transport to ROS. Recordings and
+//! `urg publish` use them; you can pass them to your own middleware.
 //!
 //! ```
 //! use urg_emulator::Emulator;
@@ -19,9 +18,8 @@
 //! # }
 //! ```
 //!
-//! A message is XCDR1, little-endian, with its encapsulation header of four bytes. DDS,
-//! `rmw_zenoh` and MCAP files all use this form. The module knows no topics, files or
-//! networks.
+//! A message is XCDR1, little-endian, with its encapsulation header of four bytes. DDS, `rmw_zenoh` and MCAP
+//! files all use this form. The module knows no topics, files or networks.
 
 /// Expands to the definition of the header that both messages begin with.
 macro_rules! header_definition {
