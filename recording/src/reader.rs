@@ -37,7 +37,7 @@ const MAX_OTHER_TOPICS: usize = 16;
 /// The file's longest chunk, at most 64 MiB, bounds the memory, whatever the file claims. One more of
 /// its messages may be in memory, too, and up to 64 MiB of definitions of message types. With feature
 /// `compression` the limit also applies to a chunk's decompressed bytes. After damage in a file without
-/// chunks, up to 64 MiB of it are in memory.
+/// chunks, or of its end, up to 64 MiB of it are in memory.
 ///
 /// ```no_run
 /// use urg_recording::{Entry, Recording};

@@ -44,6 +44,7 @@ fn a_hostile_length_takes_no_memory() {
             1,
         ),
         ("a schema of 4 GB", record(0x03, 6, &[&[0; 2][..], &claims(u32::MAX)].concat()), 1),
+        ("an end of the data of 1 MB", record(0x0f, 1 << 20, &[0; 5]), 1),
         ("a record of an unknown kind", record(0x00, 0, &[]), 1),
         ("zeros", vec![0; 1000], 1),
     ];
@@ -560,8 +561,11 @@ fn a_damaged_kind_ends_no_file_before_damage() {
     let chunk = chunk_of(&[channel(), event(0)].concat());
     let place = 8 + chunk.len() as u64;
     let mut damaged = of_kind(0x0f, &[&[0; 2][..], &claims(16), &[0; 16]].concat());
+    // A length that ends in the next chunk.
+    let long =
+        record(0x07, 21 + chunk.len() as u64, &[&[0; 2][..], &claims(16), &[0; 16]].concat());
     // A stray byte, or a damaged kind.
-    for next in [b"\0".to_vec(), of_kind(0x5b, &[1; 30])] {
+    for next in [b"\0".to_vec(), of_kind(0x5b, &[1; 30]), long] {
         for kind in [0x0f, 0x02] {
             damaged[0] = kind;
             let file = [MAGIC, &chunk, &damaged, &next, &chunk, &chunk, &end()].concat();
@@ -570,6 +574,59 @@ fn a_damaged_kind_ends_no_file_before_damage() {
             assert!(places[0] >= place, "{places:?}");
         }
     }
+}
+
+#[test]
+fn a_damaged_kind_ends_no_file_before_its_channels() {
+    // Each has the length of a footer.
+    let records = [
+        of_kind(0x01, &[text("ros2"), text("12345678")].concat()),
+        of_kind(0x03, &[&[1, 0][..], &text("a"), &text("b"), &text("data")].concat()),
+        of_kind(0x04, &channel_content(1, "/")),
+        channel(),
+        event(0).repeat(2),
+        end(),
+    ];
+    for kind in [0x0f, 0x02] {
+        for number in 0..3 {
+            let mut damaged = records.clone();
+            damaged[number][0] = kind;
+            let place = records[..number].iter().map(Vec::len).sum::<usize>() as u64 + 8;
+            let file = [MAGIC, &damaged.concat()].concat();
+            assert_eq!(read(&file), (vec![place], 2, false), "{kind}, record {number}");
+        }
+    }
+}
+
+/// Otherwise a file of a few MiB would take hours.
+#[test]
+fn records_after_many_false_ends_are_read_once() {
+    const COUNT: u64 = 300;
+    let end = [of_kind(0x0c, &[&text("a")[..], &claims(0)].concat()), of_kind(0x0f, &[0; 5])];
+    let end = end.concat();
+    // From each end to the same records, over all other ends.
+    let long = |ends| record(0x80, ends * (end.len() as u64 + 9), &[]);
+    let ends: Vec<_> = (0..COUNT).rev().map(|ends| [end.clone(), long(ends)].concat()).collect();
+    // Like a chunk's. The reader allocates its name.
+    let fields = [&[0; 28][..], &text("x"), &[0; 8]].concat();
+    let records = of_kind(0x80, &fields).repeat(COUNT as usize);
+    let file = [MAGIC, &ends.concat(), &of_kind(0, &[]), &records].concat();
+    let counted = allocation_counter::measure(|| assert_eq!(read(&file).1, 0));
+    assert!(counted.count_total < 50 * COUNT, "{} allocations", counted.count_total);
+}
+
+#[test]
+fn a_damaged_summary_defines_no_topic() {
+    let data = [channel(), event(0)].concat();
+    // With a field of a later version, and a damaged topic.
+    let summary = [of_kind(0x0f, &[0; 5]), of_kind(0x04, &channel_content(1, "/sc?p/events"))];
+    let rest = [of_kind(0x04, &channel_content(2, "")), b"\0".to_vec(), end()[13..].to_vec()];
+    let file = [MAGIC, &data, &summary.concat(), &rest.concat()].concat();
+    let mut out = Vec::new();
+    assert!(repair(Cursor::new(file), &mut out).unwrap().damaged_parts > 0);
+    let summary = mcap::Summary::read(&out).unwrap().unwrap();
+    let topics: Vec<_> = summary.channels.values().map(|channel| &channel.topic[..]).collect();
+    assert_eq!(topics, ["/scip/events"]);
 }
 
 #[test]

@@ -15,6 +15,8 @@ pub(crate) type LostSchema = fn(u16, &[u8]) -> Option<Vec<u8>>;
 pub(crate) struct Definitions {
     /// Content of each, after its number.
     contents: HashMap<(u8, u16), Vec<u8>>,
+    /// Later definitions that may come from a damaged summary, until a message follows.
+    doubted: Option<HashMap<(u8, u16), Vec<u8>>>,
     bytes: usize,
     /// Numbers of the channels in another file, by these definitions.
     written: HashMap<u16, u16>,
@@ -25,15 +27,21 @@ impl Definitions {
     pub(super) fn define(&mut self, kind: u8, content: &[u8]) -> bool {
         let mut fields = Fields(content);
         let Some(number) = fields.u16() else { return false };
-        let known = self.get(kind, number).map_or(0, <[u8]>::len);
+        let contents = self.doubted.as_mut().unwrap_or(&mut self.contents);
+        let known = contents.get(&(kind, number)).map_or(0, Vec::len);
         let bytes = self.bytes - known + fields.0.len();
         if bytes > MAX_DEFINITION_BYTES {
             return false;
         }
         self.bytes = bytes;
         self.written.clear();
-        self.contents.insert((kind, number), fields.0.to_vec());
+        contents.insert((kind, number), fields.0.to_vec());
         true
+    }
+
+    /// Remembers later definitions only if a message follows them.
+    pub(super) fn doubt_later(&mut self) {
+        self.doubted.get_or_insert_default();
     }
 
     pub(crate) fn channel(&self, number: u16) -> Option<Channel<'_>> {
@@ -44,8 +52,17 @@ impl Definitions {
         Some(Channel { topic, schema, encoding, metadata: fields })
     }
 
-    pub(super) fn has_channel(&self, number: u16) -> bool {
-        self.contents.contains_key(&(kind::CHANNEL, number))
+    /// Accepts a message, and so all definitions before it. Returns false if its channel is not defined.
+    pub(super) fn accept(&mut self, channel: u16) -> bool {
+        let channel = (kind::CHANNEL, channel);
+        let is_defined = |later: &mut HashMap<_, _>| {
+            later.contains_key(&channel) || self.contents.contains_key(&channel)
+        };
+        for (key, content) in self.doubted.take_if(is_defined).into_iter().flatten() {
+            self.bytes -= self.contents.insert(key, content).map_or(0, |known| known.len());
+            self.written.clear();
+        }
+        self.contents.contains_key(&channel)
     }
 
     /// Writes a channel, after its schema, unless it is written. Returns its number there, or `None`

@@ -387,8 +387,7 @@ impl Layout {
     }
 
     /// Returns what is lost with a record whose head is damaged at `at`, or has moved from there: all
-    /// records that it reaches over if nothing in it shows its length, and all data after it if it looks
-    /// like their end.
+    /// records that it reaches over if nothing in it shows its length.
     pub(super) fn swallowed(
         &self,
         whole: &[u8],
@@ -401,14 +400,11 @@ impl Layout {
         let end = length.checked_add(start + 9)?;
         let shift = whole.len() as isize - damaged.len() as isize;
         let ends = [end, end.saturating_add_signed(shift)];
-        let next = self.boundaries.iter().find(|edge| **edge > start)?;
         match head[0] {
             _ if head == before => None,
             // Only a whole record may end where the file does.
             0x05 | 0x10.. if end == damaged.len() => Some(start..end),
             0x05 | 0x10.. if ends.iter().any(|end| self.begins(whole, *end)) => Some(start..end),
-            // A summary may begin with records of a later version.
-            0x0f if whole[*next] >= 0x10 => Some(start..self.summary.start),
             _ => None,
         }
     }

@@ -6,29 +6,35 @@ use crate::mcap::form::{Extent, record_head};
 use crate::mcap::{FILE_END, FOOTER_BYTES, Fields, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
 
 impl Records {
-    /// Reads the end of the file, starting at the record that ends its data. Returns true if other
-    /// readers can find the messages with it: the summary is where the footer says, its
-    /// checksum is right if it has one, and nothing follows.
+    /// Reads the end of the file, starting at the record that ends its data. Returns true if other readers can
+    /// find the messages with it: the summary is where the footer says, its checksum is right if it has one,
+    /// and nothing follows. Stays before what may be data: also at a record whose lengths do not prove that
+    /// it ends the data.
     pub(super) fn is_end_whole(&mut self, data_end: &Extent) -> Result<bool, RecordingError> {
         let window = &mut self.window;
-        if data_end.kind == kind::DATA_END && !window.skip(data_end.end)? {
+        let mut at = if data_end.kind == kind::DATA_END { data_end.end } else { 0 };
+        let (start, mut summary) = (window.offset + at, crc32fast::Hasher::new());
+        // Otherwise a hostile file with many such records is read again after each of them.
+        if !data_end.is_proved() && start <= self.no_end {
             return Ok(false);
         }
-        let start = window.offset;
-        window.checksum = Some(crc32fast::Hasher::new());
-        while let Some((kind, length)) = record_head(window.peek(RECORD_HEAD)?)
-            && kind != kind::FOOTER
-        {
-            let length = length.saturating_add(RECORD_HEAD as u64);
-            let known = window.peek(length.min(MAX_CHUNK_BYTES) as usize)?.len() as u64;
-            // Stays before what is no summary: it may be data.
-            if known < length || window.begins(0, is_data)? {
+        loop {
+            self.no_end = window.offset + at;
+            if data_end.is_proved() && !window.skip(std::mem::take(&mut at))? {
                 return Ok(false);
             }
-            window.skip(length)?;
+            let bytes = window.peek(at as usize + RECORD_HEAD)?;
+            let head = record_head(bytes.get(at as usize..).unwrap_or_default());
+            let Some((_, length)) = head.filter(|(kind, _)| *kind != kind::FOOTER) else { break };
+            let end = length.saturating_add(at + RECORD_HEAD as u64);
+            let known = window.peek(end.min(MAX_CHUNK_BYTES) as usize)?.len() as u64;
+            if known < end || window.begins(at, is_data)? {
+                return Ok(false);
+            }
+            summary.update(window.bytes(at as usize..end as usize));
+            at = end;
         }
-        let mut summary = window.checksum.take().unwrap_or_default();
-        let end = window.peek(FILE_END + 1)?;
+        let end = window.peek(at as usize + FILE_END + 1)?.get(at as usize..).unwrap_or_default();
         let is_last = end.len() == FILE_END && end.ends_with(&MAGIC);
         let (content, crc) = end.split_at(end.len().min(RECORD_HEAD + FOOTER_BYTES - 4));
         summary.update(content);

@@ -33,10 +33,7 @@ pub(crate) type ReadRecord<'a> = (u8, &'a [u8], &'a Definitions);
 
 /// Kinds of records that no summary has.
 fn is_data(kind: u8) -> bool {
-    matches!(
-        kind,
-        kind::MESSAGE | kind::CHUNK | kind::MESSAGE_INDEX | kind::ATTACHMENT | kind::METADATA
-    )
+    is_known(kind) && !matches!(kind, kind::FOOTER | kind::SCHEMA | kind::CHANNEL)
 }
 
 /// Reads the well-formed records of a file up to its summary, including those in chunks.
@@ -53,6 +50,8 @@ pub(crate) struct Records {
     /// Set once the file is known to have chunks, or none.
     has_chunks: Option<bool>,
     definitions: Definitions,
+    /// Position up to which a record that looked like the end of the data was no end.
+    no_end: u64,
     /// Set once the index of the file was read.
     has_index: bool,
     /// Parts of the file to leave out.
@@ -260,9 +259,7 @@ impl Records {
             kind::SCHEMA | kind::CHANNEL if !definitions.define(kind, content) => {
                 Some("the definitions have more than 64 MiB")
             }
-            kind::MESSAGE
-                if !Fields(content).u16().is_some_and(|id| definitions.has_channel(id)) =>
-            {
+            kind::MESSAGE if !Fields(content).u16().is_some_and(|id| definitions.accept(id)) => {
                 Some("the channel of a message is not defined")
             }
             _ => None,
@@ -274,25 +271,24 @@ impl Records {
     /// Reads the record here, which ends the data of a file. If another file follows, skips to it and
     /// returns true.
     fn end(&mut self, extent: &Extent, length: usize) -> Result<bool, RecordingError> {
-        // The damaged kind of another record.
-        let is_last = self.window.peek(length + 1)?.len() <= length;
-        if !is_last && self.window.begins(extent.end, is_data)? {
+        // The damaged kind of another record. Definitions may follow the end of the data, but no footer.
+        let known = self.window.peek(length + 1)?.len();
+        let kinds = if extent.kind == kind::FOOTER { is_known } else { is_data };
+        if known > length && self.window.begins(extent.end, kinds)? {
             return self.resynchronise(WRONG_HEAD);
         }
         if extent.kind == kind::DATA_END && self.has_wrong_checksum() {
             return Err(self.damaged("the checksum of the file is wrong"));
         }
         let is_whole = self.is_end_whole(extent)?;
-        // The same, with damage after it.
+        // The same, with damage or definitions after it.
         if !is_whole && extent.kind == kind::DATA_END && !extent.is_proved() {
-            let error = self.damaged(WRONG_HEAD);
-            if !self.window.begins(0, is_data)? {
-                self.find_record()?;
-            }
-            return Err(error);
+            self.definitions.doubt_later();
+            self.used = length.min(known);
+            return Err(self.damaged(WRONG_HEAD));
         }
         self.is_truncated |= !is_whole;
-        self.skip_to_joined()
+        Ok(!is_whole && self.skip_to_joined()?)
     }
 
     /// Returns where the record after this one begins, counted from here.
