@@ -1,10 +1,9 @@
 //! [`ScipCodec`]: finds where replies end, and writes commands.
 //! [`protocol`](crate::protocol) validates the replies.
 //!
-//! Searching each scan for its two LFs would take a third longer (`benches/README.md`, item 1). So
-//! the codec remembers the last command: it determines where a
-//! successful reply to a `G` ends. Only a reply that does not end there is
-//! searched. Both ways yield the same kind of frame, for the same parser.
+//! Searching each scan for its two LFs would take a third longer (`benches/README.md`, item 1). So the
+//! codec remembers the last command: it determines where a successful reply to a `G` ends. Only a reply
+//! that does not end there is searched. Both ways yield the same kind of frame, for the same parser.
 
 use std::io;
 
@@ -27,8 +26,7 @@ pub enum Frame<B = BytesMut> {
     /// Reply without its terminator. It may hold anything:
     /// [`Reply::parse`](crate::protocol::Reply::parse) validates it.
     Reply(B),
-    /// More than 4,096 bytes without a terminator, dropped up to and including the next
-    /// terminator.
+    /// More than 4,096 bytes without a terminator, dropped up to and including the next terminator.
     Overlong {
         /// Number of bytes dropped, without the terminator.
         bytes: usize,
@@ -124,8 +122,7 @@ impl ScipCodec {
         (self.expected, self.max_frame) = (reply, max_frame);
     }
 
-    /// Finds the first frame in `buffer` and leaves a reply there, for the driver to validate in
-    /// place.
+    /// Finds the first frame in `buffer` and leaves a reply there, for the driver to validate in place.
     ///
     /// For a reply, returns its length. Remove it and the two LFs behind it. Bytes that belong to
     /// no reply are removed: NULs in front of a reply, and an over-long frame with its terminator.
@@ -199,8 +196,7 @@ impl Decoder for ScipCodec {
     fn decode_eof(&mut self, buffer: &mut BytesMut) -> io::Result<Option<Frame>> {
         let frame = self.decode(buffer)?;
         if frame.is_none() {
-            // No more bytes follow the end of the stream: an incomplete reply stays
-            // incomplete.
+            // No more bytes follow the end of the stream: an incomplete reply stays incomplete.
             buffer.clear();
             self.reset();
         }

@@ -102,8 +102,7 @@ fn invalid(found: impl ToString) -> ParameterError {
     ParameterError::new("rate", expected, found)
 }
 
-/// Parses scans per second with or without the unit, such as `10`, `10Hz` or `0.5 Hz`, or
-/// `max`.
+/// Parses scans per second with or without the unit, such as `10`, `10Hz` or `0.5 Hz`, or `max`.
 impl FromStr for Rate {
     type Err = ParameterError;
 

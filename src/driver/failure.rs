@@ -18,8 +18,7 @@ pub(crate) enum LinkError {
     Silent(ErrorKind),
     /// The link is lost. The port is useless from now on.
     Lost(ErrorKind),
-    /// The port has ended permanently: [`ErrorKind::Closed`], or the error of its last read
-    /// or write.
+    /// The port has ended permanently: [`ErrorKind::Closed`], or the error of its last read or write.
     Ended(ErrorKind),
 }
 

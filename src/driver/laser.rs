@@ -30,13 +30,11 @@ pub(crate) struct Laser {
     shared: Arc<Shared>,
 }
 
-/// Window that the sensor refuses to measure. Another window may be fine: each backs off for
-/// itself.
+/// Window that the sensor refuses to measure. Another window may be fine: each backs off for itself.
 struct RefusedWindow {
     window: Window,
     backoff: Backoff,
-    /// `Some`: the laser stays off. `None`: the sensor refuses the window although its laser is
-    /// on.
+    /// `Some`: the laser stays off. `None`: the sensor refuses the window although its laser is on.
     error: Option<ErrorKind>,
     retry_at: Instant,
 }

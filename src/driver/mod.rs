@@ -145,8 +145,7 @@ impl Client {
 /// Creates a driver that is not running yet, and the first handle to it.
 pub(crate) fn new(connect: Box<dyn AnyConnect>, mut config: Config) -> (Client, Driver) {
     let name = config.name.clone().or_else(|| connect.name().map(Arc::from));
-    // At error level, so that every enabled message has it: a warning without a name is of little
-    // use.
+    // At error level, so that every enabled message has it: a warning without a name is of little use.
     let span =
         tracing::error_span!("sensor", sensor = name.as_deref().map(tracing::field::display));
     let (sender, receiver) = mpsc::channel(QUEUE_CAPACITY);

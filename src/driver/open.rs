@@ -185,8 +185,7 @@ impl Opener {
         Ok(())
     }
 
-    /// Accepts the sensor, now that it has the service's settings. From now on expects no
-    /// other sensor.
+    /// Accepts the sensor, now that it has the service's settings. From now on expects no other sensor.
     fn accept(&mut self, identity: Identity) {
         let Identity { reply, is_serial_number_confirmed, geometry } = identity;
         let now = &reply.version.serial_number;

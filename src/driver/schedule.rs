@@ -167,9 +167,8 @@ impl Schedules {
         self.all.is_empty()
     }
 
-    /// Takes the poll that has been due longest. Drops unread schedules only when they are due: a
-    /// poll checks only its own schedule's readers, so its cost does not grow with the number of
-    /// schedules.
+    /// Takes the poll that has been due longest. Drops unread schedules only when they are due: a poll
+    /// checks only its own schedule's readers, so its cost does not grow with the number of schedules.
     pub(crate) fn take_due(&mut self, now: Instant) -> Option<DuePoll> {
         loop {
             let polled = self.all.iter_mut().filter(|schedule| !schedule.is_streamed);
@@ -311,8 +310,7 @@ impl Schedule {
         skipped
     }
 
-    /// Advances to the last grid point that is due, if any. Returns the number of grid
-    /// points skipped.
+    /// Advances to the last grid point that is due, if any. Returns the number of grid points skipped.
     fn catch_up(&mut self, now: Instant) -> u64 {
         let Some(period) = self.stats.rate.period() else {
             self.due = self.due.max(now);
@@ -357,8 +355,7 @@ impl Schedule {
         tracing::warn!(%window, asked = %rate, reached, "{explanation}");
     }
 
-    /// Passes `error` on unless it is of the same kind as the last error since the last
-    /// scan.
+    /// Passes `error` on unless it is of the same kind as the last error since the last scan.
     fn report(&mut self, error: &Error) {
         let kind = discriminant(error.kind());
         if self.condition.replace(kind) != Some(kind) {

@@ -178,8 +178,7 @@ impl Supervisor {
         }
     }
 
-    /// Looks for a silent sensor on the open port. It may have been reset to
-    /// another baud rate.
+    /// Looks for a silent sensor on the open port. It may have been reset to another baud rate.
     async fn recover(&mut self, mut session: Session, kind: ErrorKind) -> Result<Session, Stop> {
         self.shared.enter(State::Recovering);
         let error = self.shared.link.error(kind.clone());

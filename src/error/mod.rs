@@ -69,19 +69,17 @@ impl Error {
         Arc::unwrap_or_clone(self.0).kind
     }
 
-    /// Name of the sensor that this error concerns: the
-    /// [name](crate::SensorBuilder::name) given to it, or else the name of its port. `None` if
-    /// neither has a name, as with [`attach`](crate::SensorBuilder::attach), and for an error
-    /// that no driver has made.
+    /// Name of the sensor that this error concerns: the [name](crate::SensorBuilder::name) given to it,
+    /// or else the name of its port. `None` if neither has a name, as with
+    /// [`attach`](crate::SensorBuilder::attach), and for an error that no driver has made.
     pub fn sensor(&self) -> Option<&str> {
         self.0.sensor.as_deref()
     }
 
-    /// Returns true if you can try again later without changing anything: the link may come back,
-    /// or the next scan may be whole. This applies to [`NoSuchPort`](ErrorKind::NoSuchPort),
-    /// [`NoSuchSensor`](ErrorKind::NoSuchSensor), [`Busy`](ErrorKind::Busy),
-    /// [`Open`](ErrorKind::Open), [`NoAnswer`](ErrorKind::NoAnswer),
-    /// [`Rejected`](ErrorKind::Rejected),
+    /// Returns true if you can try again later without changing anything: the link may come back, or
+    /// the next scan may be whole. This applies to [`NoSuchPort`](ErrorKind::NoSuchPort),
+    /// [`NoSuchSensor`](ErrorKind::NoSuchSensor), [`Busy`](ErrorKind::Busy), [`Open`](ErrorKind::Open),
+    /// [`NoAnswer`](ErrorKind::NoAnswer), [`Rejected`](ErrorKind::Rejected),
     /// [`Disconnected`](ErrorKind::Disconnected), [`Timeout`](ErrorKind::Timeout),
     /// [`Malformed`](ErrorKind::Malformed) and [`NotConfirmed`](ErrorKind::NotConfirmed). For the
     /// others, change the machine, the sensor or the program first. A driver that has ended stays

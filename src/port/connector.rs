@@ -46,8 +46,7 @@ const NO_TCP: &str =
     "this program was built without the feature `tcp` of tokio-scip, which TCP needs";
 
 impl Endpoint {
-    /// Converts the endpoint into a connector, which reopens its port after each loss of
-    /// the link.
+    /// Converts the endpoint into a connector, which reopens its port after each loss of the link.
     ///
     /// # Serial numbers
     ///

@@ -13,8 +13,7 @@ use tokio::time::sleep;
 /// Delay before the next address is tried in parallel (RFC 8305, section 5).
 const ATTEMPT_DELAY: Duration = Duration::from_millis(250);
 
-/// Connects to each of the addresses with `connect` until one attempt succeeds, and drops
-/// the others.
+/// Connects to each of the addresses with `connect` until one attempt succeeds, and drops the others.
 ///
 /// Has no time limit: waits for an address that neither accepts nor refuses if no other
 /// accepts. Cancel-safe: dropping the future drops all attempts.

@@ -18,9 +18,8 @@ use crate::{BaudRate, Error, ErrorKind};
 /// | `tcp://[fe80::1%eth0]:4001?baud=115200` | the same by IPv6, with a port at 115,200 baud |
 ///
 /// Every endpoint can be named and parsed; opening it needs the feature `serial` or `tcp`.
-/// [`Display`](fmt::Display) writes a parsed endpoint as
-/// a text that parses to the same endpoint. Fields that you set yourself are not checked, and their
-/// text may not parse.
+/// [`Display`](fmt::Display) writes a parsed endpoint as a text that parses to the same endpoint.
+/// Fields that you set yourself are not checked, and their text may not parse.
 ///
 /// A [`Path`](std::path::Path) is always a serial port; it must be UTF-8 without control characters.
 /// With feature `serde`, an endpoint is serialised as its text.
@@ -40,8 +39,7 @@ use crate::{BaudRate, Error, ErrorKind};
 #[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(try_from = "String"))]
 #[non_exhaustive]
 pub enum Endpoint {
-    /// A serial port, by its path (Unix) or name (Windows), locked for other programs while it is
-    /// open.
+    /// A serial port, by its path (Unix) or name (Windows), locked for other programs while it is open.
     ///
     /// Closing it discards unsent output. If the device takes no bytes, the system closes it for up to
     /// half a minute nevertheless, on a thread of its own: dropping the port waits at most 20 ms, and

@@ -63,10 +63,9 @@ pub trait PortHints {
     /// Wall clock for the [`stamp`](crate::scan::ScanTimes::stamp) of a scan. A port that replays a recording returns
     /// when the bytes that you read now were recorded. Default: `None`, the bytes arrive now.
     ///
-    /// A wrong clock makes wrong stamps. Replayed bytes tell nothing about the sensor's motor, so
-    /// their scans have [`StampQuality::Arrival`](crate::scan::StampQuality::Arrival). The driver
-    /// polls a replay and never asks it for a stream. It schedules and times out by tokio's clock
-    /// alone.
+    /// A wrong clock makes wrong stamps. Replayed bytes tell nothing about the sensor's motor, so their
+    /// scans have [`StampQuality::Arrival`](crate::scan::StampQuality::Arrival). The driver polls a
+    /// replay and never asks it for a stream. It schedules and times out by tokio's clock alone.
     fn wall_clock(&mut self) -> Option<SystemTime> {
         None
     }

@@ -15,8 +15,7 @@ use crate::protocol::Text;
 /// of all models exists.
 const HOKUYO: u16 = 0x15d1;
 
-/// Serial port of this machine, as the system describes it. Listing does not open the
-/// port.
+/// Serial port of this machine, as the system describes it. Listing does not open the port.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
@@ -132,8 +131,7 @@ fn order(port: &PortInfo) -> (bool, bool, String, u64) {
 
 /// Returns true if `path` is the USB port of a sensor, by any of its names. Blocks.
 pub(super) fn is_usb_sensor(path: &str) -> bool {
-    // If listing fails, count the port as a serial line, which only makes its deadlines
-    // longer.
+    // If listing fails, count the port as a serial line, which only makes its deadlines longer.
     let is_it = |port: &PortInfo| port.likely_sensor && is_same(&port.path, path);
     list_blocking().is_ok_and(|ports| ports.iter().any(is_it))
 }

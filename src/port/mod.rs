@@ -2,8 +2,7 @@
 //! [`Endpoint`] names one.
 //!
 //! You need none of this for serial ports and TCP: pass their name to
-//! [`Sensor::open`](crate::Sensor::open). For a transport of your own, open a stream in a
-//! closure:
+//! [`Sensor::open`](crate::Sensor::open). For a transport of your own, open a stream in a closure:
 //!
 //! ```no_run
 //! use tokio::net::TcpStream;
@@ -70,9 +69,8 @@ pub use stream_port::StreamPort;
 /// the stream has a baud rate that the driver should know or change. Everything else that
 /// a port may tell the driver is optional: [`PortHints`].
 ///
-/// The driver never calls `poll_flush`: send written bytes without it. After the first
-/// `Ok(0)` or error of a read, the driver drops the port. It calls all methods in its task,
-/// so they must not block.
+/// The driver never calls `poll_flush`: send written bytes without it. After the first `Ok(0)` or error
+/// of a read, the driver drops the port. It calls all methods in its task, so they must not block.
 pub trait Port: AsyncRead + AsyncWrite + Send + Unpin + 'static {
     /// Baud rate of the serial line to the sensor, or `None` if the line has none, as on
     /// USB. The driver computes deadlines from it.
@@ -97,8 +95,7 @@ pub trait Port: AsyncRead + AsyncWrite + Send + Unpin + 'static {
         Poll::Ready(Err(io::ErrorKind::Unsupported.into()))
     }
 
-    /// What else the port can tell the driver, or `None` (the default) for a plain stream of
-    /// bytes.
+    /// What else the port can tell the driver, or `None` (the default) for a plain stream of bytes.
     fn hints(&mut self) -> Option<&mut dyn PortHints> {
         None
     }
@@ -176,10 +173,9 @@ pub trait Connect: Send + 'static {
     ///
     /// # Errors
     ///
-    /// Fails with an error of opening, such as
-    /// [`NoSuchPort`](crate::ErrorKind::NoSuchPort) or
-    /// [`Open`](crate::ErrorKind::Open). A driver that waits for its first sensor gives
-    /// up if an error that is not [transient](Error::is_transient) repeats.
+    /// Fails with an error of opening, such as [`NoSuchPort`](crate::ErrorKind::NoSuchPort) or
+    /// [`Open`](crate::ErrorKind::Open). A driver that waits for its first sensor gives up if an error
+    /// that is not [transient](Error::is_transient) repeats.
     fn connect(&mut self) -> impl Future<Output = Result<Self::Port, Error>> + Send;
 
     /// Name of the port for logs and error messages, if it has one.
@@ -187,8 +183,7 @@ pub trait Connect: Send + 'static {
         None
     }
 
-    /// What else the connector knows, if it searches for a sensor on several ports.
-    /// Default: `None`.
+    /// What else the connector knows, if it searches for a sensor on several ports. Default: `None`.
     #[doc(hidden)]
     fn hints(&mut self) -> Option<&mut dyn ConnectHints> {
         None

@@ -47,8 +47,7 @@ fn explain_with(port: &str, error: tokio_serial::Error, node: io::Result<Node>) 
         Err(error) => return not_found(port, error),
     };
     let port = port.to_owned();
-    // Of an errno, serialport keeps only the text of the nix crate, which is the same in
-    // every locale.
+    // Of an errno, serialport keeps only the text of the nix crate, which is the same in every locale.
     match (error.kind(), error.description.as_str()) {
         // The lock of a program that was killed. A lock by flock(2) ends with its program.
         (Cause::NoDevice, EBUSY) if node.is_abandoned => {

@@ -28,8 +28,7 @@ pub(super) async fn connect(lookup: &mut Lookup, host: &str, port: u16) -> io::R
 async fn connect_to(address: SocketAddr) -> io::Result<TcpStream> {
     let stream = TcpStream::connect(address).await?;
     keep_alive(&SockRef::from(&stream), &keepalive());
-    // Without it, a command, one small segment, may wait for the acknowledgement of the
-    // previous one.
+    // Without it, a command, one small segment, may wait for the acknowledgement of the previous one.
     stream.set_nodelay(true)?;
     Ok(stream)
 }

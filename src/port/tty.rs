@@ -61,8 +61,7 @@ impl Tty {
         Ok(())
     }
 
-    /// Stops waking the task for bytes that arrive, until the next
-    /// [`poll_read`](Self::poll_read).
+    /// Stops waking the task for bytes that arrive, until the next [`poll_read`](Self::poll_read).
     pub(super) fn suspend_wakeups(&mut self) {
         self.readiness = None;
     }
@@ -95,9 +94,8 @@ impl Tty {
         (&self.port).read(bytes)
     }
 
-    /// Reads like [`AsyncRead::poll_read`](tokio::io::AsyncRead::poll_read). If wake-ups
-    /// are suspended, reads before it registers: registering first would report bytes that
-    /// are read already.
+    /// Reads like [`AsyncRead::poll_read`](tokio::io::AsyncRead::poll_read). If wake-ups are suspended,
+    /// reads before it registers: registering first would report bytes that are read already.
     pub(super) fn poll_read(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,

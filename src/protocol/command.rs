@@ -56,8 +56,7 @@ impl Command {
     /// `frame` does not begin with it.
     pub(super) fn strip_echo<'a>(&self, frame: &'a [u8]) -> Option<&'a [u8]> {
         match self {
-            // Runs for each scan: the compiler turns this into two comparisons of
-            // integers.
+            // Runs for each scan: the compiler turns this into two comparisons of integers.
             Self::Distances(window) => frame
                 .split_first_chunk()
                 .and_then(|(echo, rest)| (*echo == distances(window)).then_some(rest)),

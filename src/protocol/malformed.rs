@@ -8,8 +8,7 @@ use super::{Status, Text};
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReplyError {
-    /// It does not begin with the command: it answers another command, or its echo is
-    /// damaged.
+    /// It does not begin with the command: it answers another command, or its echo is damaged.
     #[error("expected the echo of the command, found \"{found}\"")]
     Foreign {
         /// First line of the frame.
@@ -43,8 +42,7 @@ pub enum ReplyError {
     Uam,
 }
 
-/// Fault in the shape of a reply: where it is, what was expected there, and what was
-/// found.
+/// Fault in the shape of a reply: where it is, what was expected there, and what was found.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum MalformedError {
@@ -55,8 +53,7 @@ pub enum MalformedError {
         /// Bytes at the beginning.
         found: Text,
     },
-    /// It began before the command can have left the wire, so it is the reply to an older
-    /// command.
+    /// It began before the command can have left the wire, so it is the reply to an older command.
     #[error("the reply began {} us after the command, which alone takes {} us on the wire", after.as_micros(), least.as_micros())]
     Early {
         /// Time from the command to the first byte of the reply.
@@ -119,8 +116,7 @@ pub enum MalformedError {
         /// Number of bytes received.
         bytes: usize,
     },
-    /// Something on the link changes bytes: it translates line ends, or is a telnet
-    /// session.
+    /// Something on the link changes bytes: it translates line ends, or is a telnet session.
     #[error(
         "expected raw bytes, found CR LF line ends or telnet commands: set the terminal or the serial server to raw mode"
     )]

@@ -70,8 +70,7 @@ impl Reply {
     ///
     /// # Errors
     ///
-    /// The errors of [`Reply::parse`] for the whole frame, if it does not end with the
-    /// reply.
+    /// The errors of [`Reply::parse`] for the whole frame, if it does not end with the reply.
     #[doc(hidden)]
     pub fn parse_end(command: &Command, frame: &[u8]) -> Result<Self, ReplyError> {
         // With data and without. Both lengths include the two LFs.
@@ -157,8 +156,7 @@ const fn decode_pair(pair: [u8; 2], value: &mut u16) -> u16 {
     sixes
 }
 
-/// Fails at the first place where the data differs from the shape of `expected`
-/// characters.
+/// Fails at the first place where the data differs from the shape of `expected` characters.
 fn find_fault(data: &[u8], expected: usize) -> Result<(), MalformedError> {
     let mut left = expected;
     for (index, line) in data.split(|&byte| byte == b'\n').enumerate() {
@@ -180,8 +178,7 @@ const fn is_character(byte: u8) -> bool {
     byte.wrapping_sub(FIRST_CHARACTER) < 64
 }
 
-/// Error for a reply whose status line, at the front of `rest`, is not one printable
-/// character.
+/// Error for a reply whose status line, at the front of `rest`, is not one printable character.
 fn no_status(rest: &[u8]) -> ReplyError {
     let (line, _) = split_line(rest);
     if is_scip2(line) {

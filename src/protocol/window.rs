@@ -41,8 +41,7 @@ pub(super) const BLOCK: usize = 64;
 ///
 /// `==` compares steps and cluster counts, however you asked for them.
 ///
-/// As data (feature `serde`) it is `start`, `end` and `cluster`. You may leave out a
-/// `cluster` of 1.
+/// As data (feature `serde`) it is `start`, `end` and `cluster`. You may leave out a `cluster` of 1.
 ///
 /// ```
 /// use tokio_scip::Window;
@@ -106,10 +105,9 @@ impl Window {
     /// nothing outside of [`Window::DETECTION`]: the steps there always carry error code 19. Others
     /// send only what they measure.
     ///
-    /// Successive polls of a window differ in their echo if there is a spare step on
-    /// either side. This window has no spare step, and neither have some windows with a
-    /// cluster count above 1 (0..=725 in clusters of 4). They have one safeguard less
-    /// against a reply that a faulty line delivers twice.
+    /// Successive polls of a window differ in their echo if there is a spare step on either side. This
+    /// window has no spare step, and neither have some windows with a cluster count above 1 (0..=725 in
+    /// clusters of 4). They have one safeguard less against a reply that a faulty line delivers twice.
     pub const FULL: Self = Self { wish: Wish::Answered, ..Self::from_steps(0, LAST) };
 
     /// All that the sensor measures. For a URG-04LX: steps 44..=725, -119.53 to +119.88 degrees, 682
@@ -282,8 +280,7 @@ impl Window {
         self.steps().min(usize::from(self.cluster_count)) as u8
     }
 
-    /// The driver adds at most this many points to a poll, so that it differs from the
-    /// previous ones.
+    /// The driver adds at most this many points to a poll, so that it differs from the previous ones.
     pub(crate) const MAX_EXTRA_POINTS: u16 = 3;
 
     /// Returns true if the driver may poll `asked` to get the scans of this window: the same

@@ -73,8 +73,7 @@ impl Ring {
         self.change(|inner| (inner.push(scan), inner.missed))
     }
 
-    /// Replaces the latest error. Each reader gets it after the present scans and before
-    /// the next one.
+    /// Replaces the latest error. Each reader gets it after the present scans and before the next one.
     pub(crate) fn report(&self, error: Error) {
         self.change(|inner| inner.report(error));
     }

@@ -17,8 +17,7 @@ impl Scan {
         self.first_angle() as f32
     }
 
-    /// Direction of the last point in radians: `angle_min + (len - 1) * angle_increment`,
-    /// rounded once.
+    /// Direction of the last point in radians: `angle_min + (len - 1) * angle_increment`, rounded once.
     pub fn angle_max(&self) -> f32 {
         let steps = (self.len() - 1) as f64;
         (self.first_angle() + steps * self.point_angle()) as f32

@@ -77,8 +77,7 @@ impl Pose {
 impl Mul for Pose {
     type Output = Self;
 
-    /// Chains two poses: `inner` is in the frame whose pose is `self`. The heading is in -pi
-    /// to pi.
+    /// Chains two poses: `inner` is in the frame whose pose is `self`. The heading is in -pi to pi.
     fn mul(self, inner: Self) -> Self {
         let (x, y) = self.transform(inner.x, inner.y);
         let heading = wrapped(self.heading + self.turned(inner.heading));

@@ -82,8 +82,7 @@ impl Scan {
         self.rays().filter_map(|ray| ray.point())
     }
 
-    /// Returns the nearest point, or `None` if no ray has a distance. That is no proof of
-    /// free space.
+    /// Returns the nearest point, or `None` if no ray has a distance. That is no proof of free space.
     pub fn nearest(&self) -> Option<Point> {
         self.points().min_by(|a, b| a.range.total_cmp(&b.range))
     }

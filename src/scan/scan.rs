@@ -79,8 +79,7 @@ impl Scan {
         self.window.points()
     }
 
-    /// Distances in millimetres, in the order of their steps, or `None` where the sensor measured
-    /// none.
+    /// Distances in millimetres, in the order of their steps, or `None` where the sensor measured none.
     ///
     /// ```
     /// # use tokio_scip::{Scan, Window};
@@ -93,10 +92,9 @@ impl Scan {
         self.measurements().map(Measurement::distance)
     }
 
-    /// Values as the sensor sent them, in the order of their steps: millimetres, and among them
-    /// numbers that are no distance, such as an [`ErrorCode`](crate::ErrorCode). So their least is
-    /// no distance either: take [`distances`](Self::distances), or
-    /// [`rays`](Self::rays), which tell them apart.
+    /// Values as the sensor sent them, in the order of their steps: millimetres, and among them numbers
+    /// that are no distance, such as an [`ErrorCode`](crate::ErrorCode). So their least is no distance
+    /// either: take [`distances`](Self::distances), or [`rays`](Self::rays), which tell them apart.
     pub fn raw_values(&self) -> impl ExactSizeIterator<Item = u32> + Clone + '_ {
         self.values().iter()
     }
@@ -144,17 +142,15 @@ impl Scan {
         metres(self.meta.geometry.distances().end().saturating_add(1))
     }
 
-    /// Number of this scan in its schedule, from 0. A gap means that your consumer was too
-    /// slow and missed the scans in between. 0 for a single
-    /// [`Sensor::scan`](crate::Sensor::scan).
+    /// Number of this scan in its schedule, from 0. A gap means that your consumer was too slow and
+    /// missed the scans in between. 0 for a single [`Sensor::scan`](crate::Sensor::scan).
     pub fn sequence(&self) -> u64 {
         self.meta.sequence
     }
 
     /// How often the sensor had been found again before this scan, as in
-    /// [`Stats::reconnects`](crate::Stats::reconnects). Compare it with the previous scan: a
-    /// different number marks the first scan after a reconnect, even if your consumer missed
-    /// scans in between.
+    /// [`Stats::reconnects`](crate::Stats::reconnects). Compare it with the previous scan: a different
+    /// number marks the first scan after a reconnect, even if your consumer missed scans in between.
     pub fn reconnects(&self) -> u64 {
         self.meta.reconnects
     }

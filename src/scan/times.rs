@@ -94,9 +94,8 @@ impl Scan {
         first.checked_add(self.meta.postponed).unwrap_or(first)
     }
 
-    /// When the last byte was read, on tokio's clock, which a test may pause. Never decreases from
-    /// one scan to the next. The measurement is older, by the time of the reply and by up to a
-    /// revolution.
+    /// When the last byte was read, on tokio's clock, which a test may pause. Never decreases from one
+    /// scan to the next. The measurement is older, by the time of the reply and by up to a revolution.
     pub fn received_at(&self) -> Instant {
         self.meta.received_at
     }

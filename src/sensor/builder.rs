@@ -180,14 +180,13 @@ impl SensorBuilder {
     ///
     /// Without a probe, a link that died silently shows as
     /// [`State::Connected`](crate::State::Connected) until your next request or poll. A probe is a
-    /// [fence](crate::guide::trust): 10 bytes to the sensor and at most 16 back, which take 14 ms
-    /// at 19,200 baud. Over TCP, at the default interval, an idle hour cost 110 kB in each
-    /// direction, headers included, and 0.25 s of CPU. A request that arrives during a probe waits
-    /// for its end. While a stream polls more often than the interval, there are no probes. The
-    /// driver repeats an unanswered probe like any fence. At the default interval a silent link
-    /// counts as lost after at most 10 s, and the driver reconnects. While the laser is switched
-    /// off, the probe also finds a sensor that has restarted, and the driver switches its laser off
-    /// again.
+    /// [fence](crate::guide::trust): 10 bytes to the sensor and at most 16 back, which take 14 ms at
+    /// 19,200 baud. Over TCP, at the default interval, an idle hour cost 110 kB in each direction,
+    /// headers included, and 0.25 s of CPU. A request that arrives during a probe waits for its end.
+    /// While a stream polls more often than the interval, there are no probes. The driver repeats an
+    /// unanswered probe like any fence. At the default interval a silent link counts as lost after at
+    /// most 10 s, and the driver reconnects. While the laser is switched off, the probe also finds a
+    /// sensor that has restarted, and the driver switches its laser off again.
     ///
     /// Clamped to 100 ms to 1 day.
     pub fn idle_probe(mut self, interval: Option<Duration>) -> Self {
@@ -200,10 +199,9 @@ impl SensorBuilder {
 
     /// Sets an observer of every reply, to record or log the bytes that the sensor sent.
     ///
-    /// The driver calls your observer in its task, once for each frame, including fences and
-    /// malformed replies, and before it delivers a scan. The observer must not block. You can set
-    /// several; they are called in order. To observe a sensor that is already open, use
-    /// [`Sensor::observe_replies`].
+    /// The driver calls your observer in its task, once for each frame, including fences and malformed
+    /// replies, and before it delivers a scan. The observer must not block. You can set several; they
+    /// are called in order. To observe a sensor that is already open, use [`Sensor::observe_replies`].
     ///
     /// ```
     /// # use tokio_scip::{Sensor, Window};

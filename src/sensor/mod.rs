@@ -176,11 +176,10 @@ impl Sensor {
     /// Opens a stream of scans of `window` at `rate`, starting with the next one. Await it, or set
     /// its [depth](StreamBuilder::depth) first.
     ///
-    /// Polls lie on a fixed grid, without drift. A poll that falls due while the line is busy is
-    /// sent as soon as the line is free. Further ones are skipped and never made up. Streams of the
-    /// same window and rate share their polls. If the line cannot carry the rate, you get no error:
-    /// look at the achieved rate in the log and [`stats`](Self::stats). [`Window::wire_time`]
-    /// predicts it.
+    /// Polls lie on a fixed grid, without drift. A poll that falls due while the line is busy is sent
+    /// as soon as the line is free. Further ones are skipped and never made up. Streams of the same
+    /// window and rate share their polls. If the line cannot carry the rate, you get no error: look at
+    /// the achieved rate in the log and [`stats`](Self::stats). [`Window::wire_time`] predicts it.
     ///
     /// Returns without waiting for a scan or a link. While the link is lost, the stream starts with
     /// [`Disconnected`](crate::ErrorKind::Disconnected) or the reason of the latest attempt, and
@@ -195,8 +194,7 @@ impl Sensor {
         StreamBuilder::new(self.client.clone(), window, rate)
     }
 
-    /// Observes every reply from now on, to record or log the bytes of a sensor that is open
-    /// already.
+    /// Observes every reply from now on, to record or log the bytes of a sensor that is open already.
     ///
     /// Before this method returns, it calls your observer with the latest replies to `V`, or to `PP`
     /// and `VV`, if there is a link. From then on the driver calls it in its task, as it calls the observers of

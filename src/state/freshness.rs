@@ -68,8 +68,7 @@ impl Freshness {
     ///
     /// # Errors
     ///
-    /// [`StaleError`] with the reason if the last scan is older than `limit`, and before the
-    /// first one.
+    /// [`StaleError`] with the reason if the last scan is older than `limit`, and before the first one.
     pub fn check(&self, limit: Duration) -> Result<(), StaleError> {
         match self.age() {
             Some(age) if age <= limit => Ok(()),

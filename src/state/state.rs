@@ -37,9 +37,8 @@ pub enum State {
         baud_rate: Option<BaudRate>,
         /// True if scans are polled: a stream is open, and the laser is not switched off.
         streaming: bool,
-        /// Serial number, as in the sensor's `SERI:` line. It changes when another sensor
-        /// replaces this one, if you allow that with
-        /// [`any_sensor`](crate::SensorBuilder::any_sensor).
+        /// Serial number, as in the sensor's `SERI:` line. It changes when another sensor replaces this
+        /// one, if you allow that with [`any_sensor`](crate::SensorBuilder::any_sensor).
         serial_number: Text,
     },
     /// The sensor does not answer, but its port is still open. The driver searches for it
@@ -63,8 +62,7 @@ pub enum State {
 }
 
 impl State {
-    /// Baud rate of the line to the sensor. `None` on USB, and unless
-    /// [connected](Self::Connected).
+    /// Baud rate of the line to the sensor. `None` on USB, and unless [connected](Self::Connected).
     pub fn baud_rate(&self) -> Option<BaudRate> {
         match self {
             Self::Connected { baud_rate, .. } => *baud_rate,

@@ -13,8 +13,7 @@ use crate::{Error, ErrorKind};
 /// All reads return copies, so you can hold them as long as you like. A watch begins with
 /// the state at the time of its creation. It keeps neither the driver nor the port alive.
 ///
-/// All futures are cancel-safe, and all end when the driver does: [`State::Closed`] is
-/// final.
+/// All futures are cancel-safe, and all end when the driver does: [`State::Closed`] is final.
 ///
 /// ```
 /// # use urg_emulator::Emulator;

@@ -4,8 +4,7 @@
 use std::fmt;
 use std::time::Duration;
 
-/// Number of buckets for each doubling of the time, so a bucket is at most an eighth
-/// wide.
+/// Number of buckets for each doubling of the time, so a bucket is at most an eighth wide.
 const PER_OCTAVE: u64 = 8;
 /// Width of the narrowest buckets in microseconds.
 const UNIT_MICROS: u64 = 64;
@@ -33,9 +32,8 @@ pub struct LatencyStats {
 }
 
 impl LatencyStats {
-    /// Time within which the fraction `q` of the replies arrived: pass 0.5 for the
-    /// median, or 0.99 for the time that one reply in a hundred exceeds. Zero before the
-    /// first reply. Clamps `q` to 0..=1.
+    /// Time within which the fraction `q` of the replies arrived: pass 0.5 for the median, or 0.99 for
+    /// the time that one reply in a hundred exceeds. Zero before the first reply. Clamps `q` to 0..=1.
     ///
     /// Never shorter than the exact quantile, and longer by at most an eighth or 64 us,
     /// whichever is more. Above 16 s it is [`max`](Self::max).
@@ -78,8 +76,7 @@ impl fmt::Debug for Histogram {
     }
 }
 
-/// Finds the bucket of a time: one unit wide up to 16 units, then eight for each
-/// doubling.
+/// Finds the bucket of a time: one unit wide up to 16 units, then eight for each doubling.
 fn bucket_of(latency: Duration) -> usize {
     let seconds = latency.as_secs().saturating_mul(1_000_000);
     let units = seconds.saturating_add(latency.subsec_micros().into()) / UNIT_MICROS;

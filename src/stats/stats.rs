@@ -6,9 +6,8 @@ use crate::protocol::{MalformedError, ReplyError};
 use crate::stats::LatencyStats;
 use crate::{BaudRate, Rate, Window};
 
-/// Counters since the driver started: a copy, from [`Sensor::stats`](crate::Sensor::stats).
-/// Counts never decrease, not even when the link is lost. Serialises (feature `serde`) as its
-/// fields.
+/// Counters since the driver started: a copy, from [`Sensor::stats`](crate::Sensor::stats). Counts
+/// never decrease, not even when the link is lost. Serialises (feature `serde`) as its fields.
 #[derive(Debug, Clone, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
@@ -143,8 +142,7 @@ pub struct ScheduleStats {
     /// Number of polls in those seconds whose replies were lost, malformed or refused. Unless
     /// it is 0, the line and the sensor may be able to carry more than `reached`.
     pub failed: u32,
-    /// Why the rate was not reached in those seconds. `None` also if only this computer was too
-    /// busy.
+    /// Why the rate was not reached in those seconds. `None` also if only this computer was too busy.
     pub shortfall: Option<Shortfall>,
     /// Baud rate of the line in those seconds, unless it has none or a reply has disproved it.
     pub baud_rate: Option<BaudRate>,

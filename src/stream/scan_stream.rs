@@ -17,11 +17,10 @@ use crate::{Error, Freshness, Rate, Scan, Window};
 /// [depth](crate::stream::StreamBuilder::depth). A slow consumer gets the newest scans, and no
 /// backlog. Missed scans show as a gap in [`Scan::sequence`] and in [`missed`](Self::missed).
 ///
-/// Errors are items: the stream continues after one. No scan overwrites the latest error, and you
-/// get it in order, before the scans that followed it. You get one error for each change of
-/// condition: the first timeout after a scan, `Disconnected` once. When the driver has ended, the
-/// stream yields the cause and then `None`; after [`Sensor::close`](crate::Sensor::close) just
-/// `None`.
+/// Errors are items: the stream continues after one. No scan overwrites the latest error, and you get
+/// it in order, before the scans that followed it. You get one error for each change of condition: the
+/// first timeout after a scan, `Disconnected` once. When the driver has ended, the stream yields the
+/// cause and then `None`; after [`Sensor::close`](crate::Sensor::close) just `None`.
 ///
 /// A clone continues from the same position and shares the polls: one `G` serves all. To start with
 /// the next scan instead, use [`resubscribe`](Self::resubscribe). Dropping the last copy stops the

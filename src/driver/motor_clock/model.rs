@@ -2,9 +2,8 @@
 //! stamps that rest on the motor are off, and how soon there are some. Sensor, motor and host share no
 //! code with the clock.
 //!
-//! `SCIP_MOTORS=20 cargo test --release --lib motor_clock::model -- --nocapture` draws 320 sensors
-//! for each cell, prints each cell, and takes a minute or two; `SCIP_MOTORS_FIRST=1000001` draws
-//! others.
+//! `SCIP_MOTORS=20 cargo test --release --lib motor_clock::model -- --nocapture` draws 320 sensors for
+//! each cell, prints each cell, and takes a minute or two; `SCIP_MOTORS_FIRST=1000001` draws others.
 
 use std::ops::Range;
 

@@ -1,5 +1,4 @@
-//! Errors of commands. They name the operation that the driver was asked for, and the command as
-//! text.
+//! Errors of commands. They name the operation that the driver was asked for, and the command as text.
 
 use std::time::Duration;
 

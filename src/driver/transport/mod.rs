@@ -50,8 +50,7 @@ const OVERSLEPT: Duration = Duration::from_millis(5);
 pub(crate) struct Transport {
     port: Box<dyn Port>,
     codec: ScipCodec,
-    /// Received bytes. Frames are judged in place: a copy of one would be a second allocation a
-    /// scan.
+    /// Received bytes. Frames are judged in place: a copy of one would be a second allocation a scan.
     input: BytesMut,
     /// Number of bytes received so far.
     received: u64,

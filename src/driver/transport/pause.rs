@@ -96,8 +96,7 @@ impl Pauses {
         if current.missing < MIN_PIECES * (length - current.missing) {
             return None;
         }
-        // Counts from the first piece, because the last piece takes no time once it is
-        // complete.
+        // Counts from the first piece, because the last piece takes no time once it is complete.
         let transfers = self.transfers.iter().find(|transfers| transfers.is_for(length))?;
         let end = current.since + transfers.shortest_time(current.missing)?;
         let margin = TIMER_DELAY + transfers.early;

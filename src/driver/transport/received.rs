@@ -58,8 +58,7 @@ impl Drop for ReceivedFrame<'_> {
         if end < self.input.len() {
             self.input.advance(end);
         } else {
-            // Cheaper than `advance`, and the next reply starts at the front of the buffer
-            // again.
+            // Cheaper than `advance`, and the next reply starts at the front of the buffer again.
             self.input.clear();
         }
     }

@@ -1,5 +1,4 @@
-//! SCIP 2 as plain values and bytes: encodes each command, and validates a reply against its
-//! request.
+//! SCIP 2 as plain values and bytes: encodes each command, and validates a reply against its request.
 //!
 //! Nothing here does I/O, reads a clock or writes a log. A frame is what lies between two
 //! terminators of two LFs. "p. 6" and the like are pages of the protocol text, C-42-03320B. What

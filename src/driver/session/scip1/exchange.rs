@@ -21,8 +21,7 @@ pub(in super::super) struct Answer {
 /// Which other replies may still be on their way with the echo of a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in super::super) enum EchoKind {
-    /// No other reply. If this one arrives too fast for its bytes, the baud rate is
-    /// wrong.
+    /// No other reply. If this one arrives too fast for its bytes, the baud rate is wrong.
     Unique,
     /// The latest reply. If this one arrives too fast, it is a copy of the latest.
     Repeated,

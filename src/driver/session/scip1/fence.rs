@@ -27,8 +27,7 @@ const FENCES_AT_A_BAUD_RATE: usize = 3;
 const OUTPUT_INTERVAL: Duration = Duration::from_millis(20);
 
 impl Scip1 {
-    /// Sends fences until the latest one is answered, and returns the status of that
-    /// answer.
+    /// Sends fences until the latest one is answered, and returns the status of that answer.
     ///
     /// # Errors
     ///
@@ -48,8 +47,7 @@ impl Scip1 {
         Err(failure.into())
     }
 
-    /// Sends one fence. Waits for its answer for `latency`, in addition to its time on
-    /// the wire.
+    /// Sends one fence. Waits for its answer for `latency`, in addition to its time on the wire.
     pub(in super::super) async fn fence_once(
         &mut self,
         latency: Duration,

@@ -21,16 +21,14 @@ pub(in super::super) struct Widened {
 pub(in super::super) struct UniqueRequests {
     /// [Keys](Window::key) of the last `G`s, polls and fences, newest first.
     recent: [u64; Window::MAX_EXTRA_POINTS as usize],
-    /// Steps requested alone since the last answered fence. The next fence must use
-    /// another step.
+    /// Steps requested alone since the last answered fence. The next fence must use another step.
     single: [u64; STEPS.div_ceil(64) as usize],
     /// Step of the next fence.
     fence: u16,
 }
 
 impl UniqueRequests {
-    /// Starts at a random step, so that a reply to an earlier process's fence hardly ever
-    /// matches ours.
+    /// Starts at a random step, so that a reply to an earlier process's fence hardly ever matches ours.
     pub(in super::super) fn random() -> Self {
         Self { fence: fastrand::u16(..STEPS), ..Self::default() }
     }
@@ -122,8 +120,7 @@ mod tests {
     fn a_fence_is_no_step_that_was_asked_for_since_the_last_answered_one() {
         let mut unique_requests = UniqueRequests::default();
         assert_eq!(unique_requests.fence(), Window::single(0));
-        // Widening to the right adds a second step. Widening to the left leaves a single
-        // step.
+        // Widening to the right adds a second step. Widening to the left leaves a single step.
         let alone = |asked| Widened { asked, first: 0, repeats: false };
         for step in [Window::single(1), Window::single(3)] {
             assert_eq!(unique_requests.widen(step), alone(step));
