@@ -30,6 +30,7 @@ pub(crate) enum Request {
         baud_rate: BaudRate,
         responder: Responder<()>,
     },
+    Reboot(Responder<()>),
     Scan {
         window: Window,
         responder: Responder<Scan>,
@@ -53,6 +54,7 @@ impl Request {
             Self::Link(responder)
             | Self::Laser { responder, .. }
             | Self::BaudRate { responder, .. }
+            | Self::Reboot(responder)
             | Self::Close(responder) => responder.is_closed(),
             Self::Scan { responder, .. } => responder.is_closed(),
             Self::Subscribe { responder, .. } => responder.is_closed(),
@@ -67,6 +69,7 @@ impl Request {
             Self::Link(responder)
             | Self::Laser { responder, .. }
             | Self::BaudRate { responder, .. }
+            | Self::Reboot(responder)
             | Self::Close(responder) => drop(responder.send(Err(error))),
             Self::Scan { responder, .. } => drop(responder.send(Err(error))),
             Self::Subscribe { responder, .. } => drop(responder.send(Err(error))),

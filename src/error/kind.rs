@@ -161,6 +161,8 @@ pub enum ErrorKind {
         /// Error of the system.
         source: Option<Arc<io::Error>>,
     },
+    /// The sensor speaks SCIP 1.1, which has no command to restart it.
+    UnsupportedReboot,
     /// The driver's task panicked: in your observer, `Connect` or `Port`, or in the driver itself.
     #[non_exhaustive]
     Panicked {
@@ -191,6 +193,8 @@ pub enum Operation {
     LaserOff,
     /// To change the baud rate.
     SetBaudRate,
+    /// To restart the sensor.
+    Reboot,
     /// To get a scan, or to know whether the sensor answers.
     Scan,
 }
@@ -358,6 +362,9 @@ impl fmt::Display for Sentence<'_> {
                 let why =
                     if source.is_some() { "" } else { ": its baud rate is fixed at the other end" };
                 write!(f, "the port of {sensor} cannot be set to {baud_rate} baud{why}")
+            }
+            ErrorKind::UnsupportedReboot => {
+                write!(f, "{sensor} speaks SCIP 1.1, which cannot restart it: power-cycle it")
             }
             ErrorKind::Panicked { message } => {
                 write!(f, "the driver of {sensor} has panicked: {message}")

@@ -162,6 +162,17 @@ impl Sensor {
         self.client.ask(|responder| Request::BaudRate { baud_rate, responder }).await
     }
 
+    /// Restarts the sensor (`RB`, in SCIP 2), as if you had power-cycled it: that ends an abnormal state
+    /// (`0L`), in which it refuses to measure. Returns once the sensor obeys. Then the link is lost for the
+    /// seconds that the sensor needs, and the driver restores the laser and the baud rate, as always.
+    ///
+    /// # Errors
+    ///
+    /// [`UnsupportedReboot`](crate::ErrorKind::UnsupportedReboot) in SCIP 1.1.
+    pub async fn reboot(&self) -> Result<(), Error> {
+        self.client.ask(Request::Reboot).await
+    }
+
     /// Polls once for a scan of `window` (`G`, p. 5), possibly between the polls of streams. The
     /// scan has the sequence number 0, and no stream counts it.
     ///

@@ -299,7 +299,7 @@ fn a_status_has_a_meaning_for_its_command() {
             "0Ll",
             false,
             false,
-            Some("the sensor is in an abnormal state: power-cycle it, or send RB twice"),
+            Some("the sensor is in an abnormal state: reboot or power-cycle it"),
         ),
         (stream, "21S", false, false, Some("the sensor stopped to check an error")),
         (stream, "50U", false, false, Some("laser, motor or other hardware is out of order")),

@@ -1,4 +1,4 @@
-//! Random histories of a sensor of SCIP 2: faults of each kind, power cuts, pulled cables, streams
+//! Random histories of a sensor of SCIP 2: faults of each kind, power cuts, restarts, pulled cables, streams
 //! that other programs left, laser settings, single scans beside streams, motors that turn at another
 //! speed than the sensor tells. Every scan that arrives is one that the sensor measured, whole and in
 //! order, and after the last fault scans come again.
@@ -123,7 +123,7 @@ async fn play(seed: u64) {
     // the driver polls, and may get the latest scan of the stream again.
     let (mut is_on, mut may_repeat) = (true, false);
     for _ in 0..6 {
-        match random.below(8) {
+        match random.below(9) {
             0 => emulator.power_cycle(),
             1 => {
                 emulator.unplug();
@@ -148,6 +148,9 @@ async fn play(seed: u64) {
                 // Another program leaves a stream.
                 let mut link = emulator.link();
                 let _ = link.write_all(b"MD0044072501000\n").await;
+            }
+            5 => {
+                let _ = timeout(Duration::from_secs(8), sensor.reboot()).await;
             }
             _ => {
                 let fault = random_fault(&mut random);

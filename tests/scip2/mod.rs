@@ -3,6 +3,7 @@
 mod disturbances;
 mod histories;
 mod intensities;
+mod reboot;
 mod refusals;
 mod streams;
 mod times;

@@ -54,9 +54,10 @@ use crate::commands::list::List;
 use crate::commands::packaging::{Completions, Manual};
 #[cfg(any(feature = "dds", feature = "zenoh", feature = "foxglove"))]
 use crate::commands::publish::Publish;
+#[cfg(feature = "serve")]
+use crate::commands::reboot::Reboot;
 use crate::commands::repair::Repair;
 use crate::commands::scan::ScanOnce;
-#[cfg(feature = "serve")]
 use crate::commands::serve::Serve;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
@@ -101,6 +102,7 @@ enum Command {
     Publish(Publish),
     Laser(Laser),
     Baud(Baud),
+    Reboot(Reboot),
     Emulate(Emulate),
     Completions(Completions),
     Man(Manual),
@@ -218,6 +220,7 @@ async fn run_command(command: Command) -> Result<(), Failure> {
         Command::Scan(scan) => interrupt.unless(scan.run()).await,
         Command::Laser(laser) => interrupt.unless(laser.run()).await,
         Command::Baud(baud) => interrupt.unless(baud.run()).await,
+        Command::Reboot(reboot) => interrupt.unless(reboot.run()).await,
         Command::Emulate(emulate) => interrupt.unless(emulate.run()).await,
         Command::Completions(completions) => {
             interrupt.unless(completions.run(Cli::command())).await
@@ -226,8 +229,7 @@ async fn run_command(command: Command) -> Result<(), Failure> {
     }
 }
 
-/// Logs to standard error if you set `RUST_LOG`. Essential messages are notices, which need no
-/// log.
+/// Logs to standard error if you set `RUST_LOG`. Essential messages are notices, which need no log.
 fn start_log(command: &Command) {
     let Some(wanted) = std::env::var_os("RUST_LOG") else { return };
     if matches!(command, Command::View(_)) && io::stderr().is_terminal() {

@@ -14,9 +14,8 @@ use crate::port::named::{NamedPort, PlacedPort};
 /// Sensors of one picture: one PORT, or several NAME=PORT@X,Y,YAW, and how to show them.
 #[derive(Debug, clap::Args)]
 pub(crate) struct PictureArgs {
-    /// Where the sensor is: a serial port, serial:NUMBER, tcp://HOST, FILE.mcap, or
-    /// emulated (see `urg help`). To show several sensors in one picture, give each as
-    /// NAME=PORT@X,Y,YAW
+    /// Where the sensor is: a serial port, serial:NUMBER, tcp://HOST, FILE.mcap, or emulated (see
+    /// `urg help`). To show several sensors in one picture, give each as NAME=PORT@X,Y,YAW
     #[arg(value_name = "PORT", value_parser = argument::<PlacedPort>())]
     ports: Vec<PlacedPort>,
     /// Scans a second, or `max` for as fast as the sensor answers [default: 10]

@@ -187,6 +187,16 @@ fn laser_and_baud_rate_are_set_and_reported_on_standard_error() {
 }
 
 #[test]
+fn a_sensor_is_restarted_in_scip_2() {
+    let output = run("reboot emulated --protocol scip2", 0);
+    assert_eq!(output.stderr, "urg: emulated: the sensor restarts\n");
+    let output = run("reboot emulated", 1);
+    let said =
+        "urg: emulated: the sensor speaks SCIP 1.1, which cannot restart it: power-cycle it\n";
+    assert_eq!(output.stderr, said);
+}
+
+#[test]
 fn an_impossible_rate_is_reported_with_a_remedy() {
     let output = run("stream emulated --baud 19200 --count 6", 0);
     assert_eq!(scans(&output.stdout).len(), 6);

@@ -31,6 +31,7 @@ pub(crate) const COMMANDS: &[&str] = &[
     "check",
     "laser",
     "baud",
+    "reboot",
     "emulate",
     "completions",
 ];

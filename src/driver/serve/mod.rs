@@ -193,6 +193,14 @@ impl Service<'_> {
                     desired.filter(|desired| *desired != baud_rate || is_unplugged(&outcome));
                 Self::respond(responder, outcome)
             }
+            Request::Reboot(responder) => {
+                let outcome = Box::pin(session.reboot()).await;
+                let restarts = outcome.is_ok();
+                Self::respond(responder, outcome)?;
+                // Looks for it at once, and gives it the desired settings again.
+                let silent = LinkError::Silent(ErrorKind::disconnected(None));
+                if restarts { Err(silent.into()) } else { Ok(()) }
+            }
             Request::Scan { window, responder } => {
                 let outcome = self.scan(session, window).await;
                 Self::respond(responder, outcome)

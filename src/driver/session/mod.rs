@@ -276,6 +276,14 @@ impl Session {
         }
     }
 
+    /// Restarts the sensor, which is silent then.
+    pub(crate) async fn reboot(&mut self) -> Result<(), ExchangeError> {
+        match self.scip2() {
+            Some(mut scip2) => scip2.reboot().await,
+            None => Err(ExchangeError::Command(ErrorKind::UnsupportedReboot)),
+        }
+    }
+
     /// Switches the laser, and checks whether the sensor measures.
     ///
     /// # Errors

@@ -53,7 +53,7 @@ impl Status {
             (_, b"0G") => "the label is longer than 16 characters",
             (_, b"0H") => "the label has a character that is not allowed",
             (_, b"0I") => "the sensor is in firmware update mode: RS ends it",
-            (_, b"0L") => "the sensor is in an abnormal state: power-cycle it, or send RB twice",
+            (_, b"0L") => "the sensor is in an abnormal state: reboot or power-cycle it",
             (_, b"0M") => "the sensor is not stable yet",
             (C::Latest { .. }, b"10") => "the laser is off",
             (_, b"10") => "the sensor's state does not allow the command",

@@ -16,9 +16,8 @@ use crate::recording::span::RangeArgs;
 
 /// Copy a part of a recording, or join the files of a split recording
 ///
-/// Messages of all topics keep their bytes and times, and are in the order of their
-/// times. You lose only damaged parts, about one second each. The input files are not
-/// changed.
+/// Messages of all topics keep their bytes and times, and are in the order of their times. You lose
+/// only damaged parts, about one second each. The input files are not changed.
 #[derive(Debug, clap::Args)]
 #[command(
     override_usage = "urg cut [OPTIONS] <FILE>... <OUT>",

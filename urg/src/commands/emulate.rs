@@ -28,8 +28,7 @@ Examples:
   urg emulate --link /tmp/urg --baud 19200 --faults late=0.01:2s,lost=0.01
   urg emulate --model ust-10lx --tcp 10940      then: urg stream tcp://127.0.0.1")]
 pub(crate) struct Emulate {
-    /// Symbolic link to create to the pseudo-terminal; replaces a link left by an
-    /// earlier emulator
+    /// Symbolic link to create to the pseudo-terminal; replaces a link left by an earlier emulator
     #[cfg(unix)]
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,

@@ -12,11 +12,10 @@ use crate::output::stdout::print;
 
 /// List the serial ports, likely sensors first
 ///
-/// A likely sensor has Hokuyo's USB id, 15d1. Behind a USB-to-serial adapter you see
-/// the adapter's id, and on RS-232 a sensor looks like any other device: run `urg info
-/// PORT` to identify it. This command opens no port. It cannot find a sensor on Ethernet,
-/// because none announces itself: try the address with which they are delivered, `urg info
-/// tcp://192.168.0.10`.
+/// A likely sensor has Hokuyo's USB id, 15d1. Behind a USB-to-serial adapter you see the adapter's
+/// id, and on RS-232 a sensor looks like any other device: run `urg info PORT` to identify it. This
+/// command opens no port. It cannot find a sensor on Ethernet, because none announces itself: try
+/// the address with which they are delivered, `urg info tcp://192.168.0.10`.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  urg list\n  urg list --format json | jq -r '.[] | select(.likely_sensor).path'"

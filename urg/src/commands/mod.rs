@@ -15,6 +15,7 @@ pub(crate) mod list;
 pub(crate) mod packaging;
 #[cfg(any(feature = "dds", feature = "zenoh", feature = "foxglove"))]
 pub(crate) mod publish;
+pub(crate) mod reboot;
 pub(crate) mod repair;
 pub(crate) mod scan;
 #[cfg(feature = "serve")]

@@ -18,9 +18,8 @@ use crate::web::{self, Hosts, Site, SiteSource};
 /// Send buffer of the system for each client, about ten scans. A slow client lags by at most
 /// these scans.
 const SEND_BUFFER_BYTES: u32 = 64 * 1024;
-/// Number of connections that the system queues before `accept`. A client that finds the queue
-/// full retries after 1 s, then after 3 s, which would delay `/health` during a burst of
-/// connections.
+/// Number of connections that the system queues before `accept`. A client that finds the queue full
+/// retries after 1 s, then after 3 s, which would delay `/health` during a burst of connections.
 const BACKLOG: u32 = 1024;
 
 /// Show a live page to any browser, and scans to programs

@@ -1,5 +1,4 @@
-//! Table of a scan: one line per point, then a summary, which stays visible on the
-//! terminal.
+//! Table of a scan: one line per point, then a summary, which stays visible on the terminal.
 
 use std::fmt::Write;
 

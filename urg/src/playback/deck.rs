@@ -1,5 +1,4 @@
-//! Arithmetic of a playback: decides when to show each scan, without a clock, a task or a
-//! file.
+//! Arithmetic of a playback: decides when to show each scan, without a clock, a task or a file.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -100,8 +99,7 @@ impl Deck {
         self.scan = self.scan_at(self.position);
     }
 
-    /// Returns the time of the next change, or `None` if only a command can change
-    /// anything.
+    /// Returns the time of the next change, or `None` if only a command can change anything.
     pub(super) fn due(&self) -> Option<Instant> {
         if !self.is_moving() {
             return None;

@@ -30,8 +30,7 @@ pub(crate) struct PlaybackArgs {
 impl PlaybackArgs {
     /// Restricts the recordings among `ports` to the requested part.
     ///
-    /// Fails if the user set options of a playback without a recording, or a rate without a
-    /// sensor.
+    /// Fails if the user set options of a playback without a recording, or a rate without a sensor.
     pub(crate) fn apply<'a>(
         &self,
         ports: impl Iterator<Item = &'a mut PortName>,

@@ -195,8 +195,7 @@ impl Watched {
         }
     }
 
-    /// Checks the engine at regular intervals, until the user stops it or it has to be
-    /// reopened.
+    /// Checks the engine at regular intervals, until the user stops it or it has to be reopened.
     fn watch(&mut self, session: &mut Session) -> Result<(), Reopen> {
         let working = Instant::now() + WORKING_TIME;
         loop {

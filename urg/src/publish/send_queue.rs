@@ -17,8 +17,7 @@ pub(super) const MAX_SILENT_CHECKS: u32 = 20;
 pub(super) struct Message {
     pub(super) topic: usize,
     pub(super) payload: Vec<u8>,
-    /// Number on its topic, from 1. Dropped messages use up a number, so that readers see the
-    /// gap.
+    /// Number on its topic, from 1. Dropped messages use up a number, so that readers see the gap.
     pub(super) sequence: i64,
     pub(super) published_at: SystemTime,
     pub(super) counts: Arc<Counts>,

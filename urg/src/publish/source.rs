@@ -79,8 +79,7 @@ impl Source {
         reporter.finish(StreamEnd::ByItself)
     }
 
-    /// Publishes the condition once per second, also after the scans have ended. Never
-    /// completes.
+    /// Publishes the condition once per second, also after the scans have ended. Never completes.
     pub(crate) async fn publish_diagnostics(&self) {
         let node = self.names.full_name();
         let first = self.epoch + DIAGNOSTICS_PERIOD.mul_f64(self.phase);

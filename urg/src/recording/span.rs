@@ -21,8 +21,7 @@ pub(crate) struct RangeArgs {
 #[derive(Debug, Clone, Default, Args)]
 #[command(next_help_heading = "Recording")]
 pub(crate) struct TopicArgs {
-    /// Topic of the scans in a recording of several sensors, such as /front/scan
-    /// [default: /scan]
+    /// Topic of the scans in a recording of several sensors, such as /front/scan [default: /scan]
     #[arg(long)]
     pub(crate) topic: Option<String>,
 }

@@ -22,9 +22,8 @@ use crate::recording::span::{RangeArgs, TopicArgs};
 
 /// Write scans to standard output as they come
 ///
-/// Runs until Ctrl-C, --count, --duration, or the end of a recording. Unplug the
-/// sensor and plug it back in: scanning resumes. Ending without a single scan is an
-/// error, unless you press Ctrl-C.
+/// Runs until Ctrl-C, --count, --duration, or the end of a recording. Unplug the sensor and plug it
+/// back in: scanning resumes. Ending without a single scan is an error, unless you press Ctrl-C.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "`--help` explains the formats",

@@ -1,6 +1,5 @@
-//! Tells the user why a stream is slower than requested, and what to change. The driver
-//! measures the rate and explains the cause. A cause is repeated only if the rate was reached in
-//! between.
+//! Tells the user why a stream is slower than requested, and what to change. The driver measures
+//! the rate and explains the cause. A cause is repeated only if the rate was reached in between.
 
 use std::time::Duration;
 

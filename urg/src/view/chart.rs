@@ -62,8 +62,7 @@ impl Chart {
         }
     }
 
-    /// Writes `text` if it fits completely and covers no other label. Returns whether it
-    /// did.
+    /// Writes `text` if it fits completely and covers no other label. Returns whether it did.
     pub(super) fn label(
         &self,
         buffer: &mut Buffer,

@@ -111,8 +111,7 @@ fn trouble(model: &Model) -> Option<String> {
     model.selected().and_then(of).or_else(|| model.layers.iter().find_map(of))
 }
 
-/// Draws the help from line `scroll`, but never past its end. Returns the first visible
-/// line.
+/// Draws the help from line `scroll`, but never past its end. Returns the first visible line.
 fn draw_help(frame: &mut Frame<'_>, area: Rect, scroll: u16, text: &str) -> u16 {
     let block = Block::bordered().title(help::TITLE).border_style(Palette::quiet());
     let columns = text.lines().map(|line| line.chars().count()).max().unwrap_or(0);

@@ -1,6 +1,5 @@
-//! State of the radar and the effect of each key on it, without a terminal or a sensor.
-//! Keys act on the picture, on the selected sensor or on the playback. The help groups them
-//! the same way.
+//! State of the radar and the effect of each key on it, without a terminal or a sensor. Keys act on
+//! the picture, on the selected sensor or on the playback. The help groups them the same way.
 
 use std::iter;
 use std::time::Duration;

@@ -180,8 +180,7 @@ impl Panel<'_> {
         self.row("latency", text)
     }
 
-    /// Counts the polls without a scan, one row per cause, because two causes do not fit in
-    /// a row.
+    /// Counts the polls without a scan, one row per cause, because two causes do not fit in a row.
     fn losses(&self) -> Vec<Line<'static>> {
         let stats = &self.layer.stats;
         let kinds = [

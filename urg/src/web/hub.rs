@@ -27,8 +27,7 @@ pub(super) struct Hub {
     sensor: OnceLock<Sensor>,
     /// Identity of the sensor, read once it is found.
     version: OnceLock<Version>,
-    /// Current position in the stream, where a clone continues. `None` until the sensor is
-    /// found.
+    /// Current position in the stream, where a clone continues. `None` until the sensor is found.
     feed: watch::Sender<Option<Feed>>,
     times: Mutex<RecentTimes>,
 }

@@ -1,5 +1,4 @@
-//! `/state` and `/health`: state of each sensor and its stream, for the page and for a
-//! supervisor.
+//! `/state` and `/health`: state of each sensor and its stream, for the page and for a supervisor.
 
 use std::sync::Arc;
 

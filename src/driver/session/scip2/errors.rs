@@ -11,6 +11,7 @@ impl Asked for Request {
             Command::LaserOn => Operation::LaserOn,
             Command::LaserOff => Operation::LaserOff,
             Command::BaudRate(_) => Operation::SetBaudRate,
+            Command::Reboot => Operation::Reboot,
             Command::Latest { .. } | Command::Stream(_) => Operation::Scan,
             _ => Operation::Identify,
         }

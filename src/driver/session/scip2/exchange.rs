@@ -151,6 +151,8 @@ impl Scip2<'_> {
     pub(super) fn latency(&self, command: &Command) -> Duration {
         let usual = match command {
             Command::Latest { .. } => Duration::from_millis(500),
+            // The second must follow within a second.
+            Command::Reboot => Duration::from_millis(400),
             _ => Duration::from_secs(1),
         };
         self.line.reply_latency.unwrap_or(usual)

@@ -230,6 +230,37 @@ impl Scip2<'_> {
         }
     }
 
+    /// Restarts the sensor by two commands within a second. A UST leaves some of them unanswered, and
+    /// restarts all the same (urg_stamped's pull request 71).
+    pub(super) async fn reboot(&mut self) -> Result<(), ExchangeError> {
+        let (mut once_more, mut tries) = (false, 3);
+        loop {
+            tries -= 1;
+            let failure = match self.exchange(Command::Reboot).await {
+                Ok(answer) => {
+                    let status = accepted(&Command::Reboot, answer)?.status;
+                    if status.is_ok() {
+                        return Ok(());
+                    }
+                    once_more = true;
+                    ExchangeError::Command(refusal(&Command::Reboot, status))
+                }
+                Err(ExchangeError::Link(_)) if tries < 2 => return Ok(()),
+                Err(failure) if failure.is_lost_reply() => {
+                    let latency = self.latency(&Command::Reboot);
+                    if once_more && self.probe_once(latency).await.is_err() {
+                        return Ok(());
+                    }
+                    failure
+                }
+                Err(failure) => return Err(failure),
+            };
+            if tries == 0 || self.line.is_closing() {
+                return Err(failure);
+            }
+        }
+    }
+
     /// Asks for one step until there is an answer, and returns its status: a refusal while the sensor
     /// does not measure.
     pub(super) async fn probe(&mut self) -> Result<Status, ExchangeError> {

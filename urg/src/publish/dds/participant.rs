@@ -23,8 +23,7 @@ const _: () = assert!(cfg!(target_endian = "little"), "DDS needs a little-endian
 /// Length of the CDR header, which the binding writes itself.
 const CDR_HEADER: usize = 4;
 
-/// Maximum time that a write may block. `KeepLast` history always has room for the next
-/// message.
+/// Maximum time that a write may block. `KeepLast` history always has room for the next message.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
 
 thread_local! {

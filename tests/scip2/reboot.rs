@@ -1,0 +1,137 @@
+//! A sensor is restarted by its own command.
+
+use std::future::pending;
+use std::time::Duration;
+
+use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader, duplex, split};
+use tokio::time::sleep;
+use tokio_scip::{Error, ErrorKind, Rate, Sensor, Window};
+use urg_emulator::{Emulator, Fault, Faults, Model};
+
+use super::refusals::{PARAMETERS, VERSION};
+use super::{next, numbered, revolution};
+use crate::common::builder;
+
+const MODELS: [Model; 3] = [Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx];
+
+/// Number of commands to restart that the sensor has had.
+fn commands(emulator: &Emulator) -> usize {
+    emulator.log().iter().filter(|line| line.line.starts_with(b"RB")).count()
+}
+
+async fn clock(sensor: &Sensor) -> u32 {
+    sensor.sensor_state().await.unwrap().unwrap().clock.unwrap()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_that_was_restarted_measures_again() {
+    for model in MODELS {
+        let emulator = numbered(model).build();
+        let sensor = builder().connect(emulator.clone()).await.unwrap();
+        let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+        for _ in 0..200 {
+            next(&mut stream).await;
+        }
+        let before = clock(&sensor).await;
+        sensor.reboot().await.unwrap();
+        assert_eq!(commands(&emulator), 2, "{model:?}");
+        let scan = loop {
+            if let Ok(scan) = stream.next().await.unwrap() {
+                break scan;
+            }
+        };
+        revolution(&scan);
+        assert!(clock(&sensor).await < before, "{model:?}");
+        assert_eq!(sensor.stats().reconnects, 1, "{model:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_laser_that_was_switched_off_stays_off() {
+    for model in MODELS {
+        let emulator = numbered(model).build();
+        let sensor = builder().connect(emulator.clone()).await.unwrap();
+        sensor.laser_off().await.unwrap();
+        sensor.reboot().await.unwrap();
+        let error = sensor.scan(Window::DETECTION).await.unwrap_err();
+        assert!(matches!(error.kind(), ErrorKind::LaserOff), "{model:?}: {error}");
+        assert_eq!((sensor.stats().reconnects, emulator.is_laser_on()), (1, false), "{model:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_is_lost_is_sent_again() {
+    for fault in [Fault::Lost, Fault::CommandLost] {
+        for which in 0..2 {
+            let emulator = numbered(Model::Ust10lx).build();
+            let sensor = builder().connect(emulator.clone()).await.unwrap();
+            sleep(Duration::from_secs(60)).await;
+            let before = clock(&sensor).await;
+            emulator.set_faults(Faults::none().at(which, fault.clone()));
+            sensor.reboot().await.unwrap();
+            assert!(clock(&sensor).await < before, "{which}: {fault:?}");
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_that_refuses_goes_on() {
+    let emulator = numbered(Model::Urg04lxUg01).build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    emulator.set_faults(Faults::none().on("RB", Fault::Status(b'E')));
+    let error = sensor.reboot().await.unwrap_err();
+    assert!(error.to_string().contains("refused RB with status '0E'"), "{error}");
+    sensor.scan(Window::DETECTION).await.unwrap();
+    assert_eq!((commands(&emulator), sensor.stats().reconnects), (1, 0));
+}
+
+#[tokio::test(start_paused = true)]
+async fn scip_1_has_no_such_command() {
+    let sensor = builder().connect(numbered(Model::Urg04lx).build()).await.unwrap();
+    let error = sensor.reboot().await.unwrap_err();
+    assert!(matches!(error.kind(), ErrorKind::UnsupportedReboot), "{error}");
+    assert!(error.to_string().contains("power-cycle it"), "{error}");
+    sensor.scan(Window::DETECTION).await.unwrap();
+}
+
+/// Sensor that restarts at the second command, and is silent then, or hangs up.
+async fn restart_without_an_answer(hangs_up: bool) -> Result<(), Error> {
+    let (near, far) = duplex(4096);
+    tokio::spawn(async move {
+        let (read, mut write) = split(far);
+        let (mut commands, mut restarts) = (BufReader::new(read).lines(), 0);
+        while let Ok(Some(command)) = commands.next_line().await {
+            let reply = match command.get(..2) {
+                Some("RB") if restarts == 1 && hangs_up => return,
+                Some("RB") if restarts == 1 => break,
+                Some("RB") => {
+                    restarts += 1;
+                    "01Q"
+                }
+                Some("VV") => VERSION,
+                Some("PP") => PARAMETERS,
+                _ => "00P",
+            };
+            write.write_all(format!("{command}\n{reply}\n\n").as_bytes()).await.unwrap();
+        }
+        pending::<()>().await;
+    });
+    let sensor = builder().attach(near).await.unwrap();
+    sensor.reboot().await
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_may_restart_without_an_answer() {
+    for hangs_up in [false, true] {
+        restart_without_an_answer(hangs_up).await.unwrap();
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_dead_sensor_does_not_restart() {
+    let emulator = numbered(Model::Ust10lx).build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    emulator.set_faults(Faults::none().every(Fault::CommandLost));
+    let error = sensor.reboot().await.unwrap_err();
+    assert!(error.to_string().contains("did not answer RB within 400 ms"), "{error}");
+}
