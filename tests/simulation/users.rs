@@ -156,7 +156,7 @@ pub(crate) async fn requester(run: Run, sensor: Sensor, seed: u64) {
     }
 }
 
-/// Switches the laser and the baud rate. A run has one operator, so that it knows which
+/// Switches the laser and the baud rate, and restarts the sensor. A run has one operator, so that it knows which
 /// state to expect.
 pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
     let mut random = Random::new(seed);
@@ -171,7 +171,7 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
             let alone = !run.case.events.other_program;
             move |now: u64| alone && now == resets
         };
-        match random.below(7) {
+        match random.below(8) {
             0 => {
                 run.baud_rate_may_wait.store(true, Ordering::Relaxed);
                 let _ = timeout(random.ms(600), sensor.set_baud_rate(speed)).await;
@@ -197,6 +197,10 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
                     assert!(!undisturbed(emulator.counts().resets) || !emulator.is_laser_on());
                     stay_off(&run, &sensor, random.ms(20_000)).await;
                 }
+            }
+            5 if run.case.events.power_cycle => {
+                let outcome = run.call("reboot", sensor.reboot()).await;
+                assert!(outcome.is_err() || run.case.protocol == Protocol::Scip2);
             }
             _ => {
                 run.laser_may_be_off.store(true, Ordering::Relaxed);
