@@ -33,6 +33,8 @@ pub(crate) struct Run {
     pub(crate) laser_may_be_off: Arc<AtomicBool>,
     /// True while the driver may remember a baud rate that it could not set.
     pub(crate) baud_rate_may_wait: Arc<AtomicBool>,
+    /// Locked while the operator restarts the sensor, until it has booted.
+    pub(crate) restarting: Arc<tokio::sync::Mutex<()>>,
     trace: Arc<Mutex<DefaultHasher>>,
     start: Instant,
 }
@@ -113,6 +115,7 @@ async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> SimulationOutco
         healthy: Arc::default(),
         laser_may_be_off: Arc::default(),
         baud_rate_may_wait: Arc::default(),
+        restarting: Arc::default(),
         trace: Arc::default(),
         start: Instant::now(),
     };
@@ -265,6 +268,7 @@ async fn recover(run: &Run, sensor: &Sensor) -> Duration {
         emulator.plug_in();
         allowance += Duration::from_millis(1500);
     }
+    drop(run.restarting.lock().await);
     let start = Instant::now();
     let laser_may_be_off = run.laser_may_be_off.load(Ordering::Relaxed);
     // The driver first sends what it remembers: a command and a fence, which take one or two
