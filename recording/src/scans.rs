@@ -1,5 +1,4 @@
-//! [`Recording::scans`]: the recorded scans as [`Scan`]s, so that one function
-//! serves live and recorded data.
+//! [`Recording::scans`]: the recorded scans as [`Scan`]s, so that one function serves live and recorded data.
 
 use std::collections::BTreeSet;
 use std::fmt;

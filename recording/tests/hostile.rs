@@ -630,6 +630,30 @@ fn a_damaged_summary_defines_no_topic() {
 }
 
 #[test]
+fn no_record_ends_at_the_end_of_a_whole_file() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    let rest = [chunk.clone(), end()].concat();
+    // The data of a message look like the head of a record up to the end of the file.
+    let long = record(0x80, rest.len() as u64, &[]);
+    let message = of_kind(0x05, &[&[0; 22], &long[..]].concat());
+    let last = chunk_of(&[channel(), message].concat());
+    // A message index with a damaged kind and length, which ends there.
+    let length = 6 + chunk.len() + last.len() - long.len();
+    let index = record(0xa9, length as u64, &[0; 6]);
+    let start = [MAGIC, &chunk, &index, &chunk, &last].concat();
+    let place = 8 + chunk.len() as u64;
+    assert_eq!(repaired(&[&start, &rest]), (4, vec![place]));
+    // It may be a record of a file that was cut off.
+    let cut_off = &rest[..rest.len() - 1];
+    assert_eq!(repaired(&[&start, cut_off, &[0]]), (1, vec![]));
+    // In a chunk, too, even if a message ends with the magic bytes.
+    let message = of_kind(0x05, &[&[0; 22], MAGIC].concat());
+    let later = of_kind(0x80, &metadata());
+    let chunk = chunk_of(&[channel(), event(0), later, message].concat());
+    assert_eq!(repaired(&[MAGIC, &chunk, &end()]), (2, vec![]));
+}
+
+#[test]
 fn a_message_index_with_a_wrong_length_hides_no_chunk() {
     let chunk = chunk_of(&[channel(), event(0)].concat());
     let mut index = of_kind(0x07, &[&[0; 2][..], &claims(16), &[0; 16]].concat());

@@ -1,5 +1,4 @@
-//! [`Compression`]: how the chunks of a file are compressed, each one alone, so that damage costs no
-//! other.
+//! [`Compression`]: how the chunks of a file are compressed, each one alone, so that damage costs no other.
 //!
 //! Pure Rust, but for writing zstd: no encoder in pure Rust is as good as the C library (`rationale`).
 //! `ruzstd` returns bytes only once they have left the window: if a file is cut off within a chunk,

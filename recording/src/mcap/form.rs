@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use super::{
-    CHUNK_HEAD, Compression, Fields, MAGIC, MAX_CHUNK_BYTES, MAX_RECORD_BYTES, MessageHeader,
-    RECORD_HEAD, kind,
+    CHUNK_HEAD, Compression, Fields, MAX_CHUNK_BYTES, MAX_RECORD_BYTES, MessageHeader, RECORD_HEAD,
+    kind,
 };
 
 /// Longest name of a compression.
@@ -81,6 +81,10 @@ pub(super) enum After {
     End,
     /// Nothing, and a record that does not end here is none.
     Nothing,
+    /// Nothing: a file that ends with the magic bytes, so no record ends here.
+    Magic,
+    /// The same, and a record that reaches beyond them is none.
+    MagicOnly,
 }
 
 /// Measures the record at the beginning of `bytes`. Returns `None` if no record has this kind and these
@@ -242,14 +246,17 @@ fn begins_before(
     let at = at as usize;
     if after != After::More && at >= bytes.len() {
         // The record before ends here, or was cut off.
-        return Ok(at == bytes.len() || after != After::Nothing && followers == 0);
+        return Ok(match at > bytes.len() {
+            true => followers == 0 && matches!(after, After::End | After::Magic),
+            false => matches!(after, After::End | After::Nothing),
+        });
     }
     let extent = measure(bytes.get(at..).unwrap_or_default(), after).map_err(|count| at + count)?;
     match extent {
         None => Ok(false),
         // Not at the end of a whole file. Any last byte may look like a kind of a later version.
         Some(extent) if extent.is_endless() && (kind::FOOTER..0x10).contains(&extent.kind) => {
-            Ok(after != After::Nothing && followers < FOLLOWERS && !bytes.ends_with(&MAGIC))
+            Ok(after == After::End && followers < FOLLOWERS)
         }
         Some(extent) if !kinds(extent.kind) => Ok(false),
         // Up to two bytes before a chunk, its lengths agree, too.
@@ -262,8 +269,12 @@ fn begins_before(
         Some(_) if followers == 0 => Ok(true),
         Some(extent) => {
             let is_end = extent.kind == kind::DATA_END;
-            let may_be_cut = is_end || extent.kind == kind::MESSAGE || after == After::More;
-            let after = if may_be_cut { after } else { After::Nothing };
+            let may_be_cut = is_end || extent.kind == kind::MESSAGE;
+            let after = match after {
+                After::End if !may_be_cut => After::Nothing,
+                After::Magic if !may_be_cut => After::MagicOnly,
+                after => after,
+            };
             let followers = if is_end && extent.is_proved() { 0 } else { followers - 1 };
             begins_before(bytes, after, at as u64 + extent.end, |_| true, followers)
         }

@@ -7,6 +7,7 @@ use std::ops::Range;
 
 use crc32fast::Hasher;
 
+use super::MAGIC;
 use super::form::{After, Extent, Kinds, begins, is_shown, measure};
 use crate::RecordingError;
 
@@ -129,7 +130,11 @@ impl Window {
         let mut wanted = 1;
         loop {
             let bytes = self.peek(wanted)?;
-            let after = if bytes.len() < wanted { After::End } else { After::More };
+            let after = match bytes.len() < wanted {
+                true if bytes.ends_with(&MAGIC) => After::Magic,
+                true => After::End,
+                false => After::More,
+            };
             match decision(bytes, after) {
                 Ok(outcome) => return Ok(outcome),
                 Err(more) => wanted = more,

@@ -402,8 +402,8 @@ impl Layout {
         let ends = [end, end.saturating_add_signed(shift)];
         match head[0] {
             _ if head == before => None,
-            // Only a whole record may end where the file does.
-            0x05 | 0x10.. if end == damaged.len() => Some(start..end),
+            // Only a whole record may end where the file does, unless the magic bytes are there.
+            0x05 | 0x10.. if end == damaged.len() && !damaged.ends_with(MAGIC) => Some(start..end),
             0x05 | 0x10.. if ends.iter().any(|end| self.begins(whole, *end)) => Some(start..end),
             _ => None,
         }
