@@ -692,6 +692,23 @@ fn metadata_at_a_damaged_beginning_is_read() {
 }
 
 #[test]
+fn metadata_between_a_damaged_beginning_and_damage_are_read() {
+    let names = [text(""), text("library")].concat();
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    let start = [b"\x89MCAP1\r\n", &of_kind(0x01, &names)[..]].concat();
+    // With fields of a later version, or without.
+    let later = [&start[..8], &of_kind(0x01, &[&names[..], &[1; 5]].concat())].concat();
+    for start in [start, later] {
+        let start = [&start[..], &more(&metadata(), &[1; 2])].concat();
+        let file = [&start[..], &[0xee; 16], &chunk, &end()].concat();
+        let mut recording = Recording::read(Cursor::new(file)).unwrap();
+        let damaged = damaged_at(&recording.by_ref().collect::<Vec<_>>());
+        assert_eq!(damaged, [0, start.len() as u64]);
+        assert_eq!(recording.metadata()["rate"], "10 Hz");
+    }
+}
+
+#[test]
 fn a_file_without_its_last_byte_is_truncated() {
     let file = [MAGIC, &chunk_of(&[channel(), event(0)].concat()), &end()].concat();
     assert_eq!(read(&file), (vec![], 1, false));

@@ -1,6 +1,5 @@
-//! [`Records`]: reads the records of a file from its beginning to wherever it ends, one chunk at a
-//! time. Finds the next record after a damaged one. Leaves out unwanted parts if the file's index
-//! lists them.
+//! [`Records`]: reads the records of a file from its beginning to wherever it ends, one chunk at a time.
+//! Finds the next record after a damaged one. Leaves out unwanted parts if the file's index lists them.
 //!
 //! Believes no length until it agrees with another one or with the existing bytes. So the
 //! file, and a chunk of it, bound the memory.
@@ -19,7 +18,7 @@ use super::form::{
     Extent, Kinds, is_known, is_message_index, is_well_formed, next_start, outside_chunks,
     records_of,
 };
-use super::window::Window;
+use super::window::{READ_BYTES, Window};
 use super::{ChunkBytes, Definitions, Fields, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
 use crate::RecordingError;
 
@@ -324,9 +323,8 @@ impl Records {
         Ok(if self.has_chunks == Some(true) { outside_chunks } else { is_known })
     }
 
-    /// If the next record lies in an unwanted part, continues after that part. If no record
-    /// begins there, the file has lost or gained bytes since its index was written: then
-    /// leaves out nothing.
+    /// If the next record lies in an unwanted part, continues after that part. If no record begins there, the
+    /// file has lost or gained bytes since its index was written: then leaves out nothing.
     fn leave_out(&mut self) -> Result<(), RecordingError> {
         let here = self.window.offset;
         while let Some(part) = self.unwanted.front().cloned()
@@ -353,14 +351,18 @@ impl Records {
         self.has_chunks != Some(true) && found.is_some() && told != Some(0) && told != found
     }
 
-    /// Skips to the first record of a file that does not begin like MCAP. Fails if there is
-    /// none nearby: a few damaged bytes do not make another kind of file.
+    /// Skips to the first record of a file that does not begin like MCAP. Fails if there is none nearby: a
+    /// few damaged bytes do not make another kind of file.
     fn find_first_record(&mut self) -> Result<Option<Place>, RecordingError> {
         let error = self.damaged("the file does not begin with the magic bytes of MCAP");
-        match self.window.skip_to(is_known, MAX_CHUNK_BYTES)? {
-            true => Err(error),
-            false => Err(RecordingError::NotMcap),
+        let bytes = self.window.peek(READ_BYTES)?.get(MAGIC.len()..).unwrap_or_default();
+        // A search needs more: the name of a profile, or undamaged records after the header.
+        if records_of(bytes).next().is_some_and(|(kind, _)| kind == kind::HEADER) {
+            self.used = MAGIC.len();
+        } else if !self.window.skip_to(is_known, MAX_CHUNK_BYTES)? {
+            return Err(RecordingError::NotMcap);
         }
+        Err(error)
     }
 
     /// Skips to the next record, or to the end of the file.
