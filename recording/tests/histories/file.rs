@@ -273,6 +273,8 @@ pub(super) struct Layout {
     indexes: Vec<Range<usize>>,
     /// Chunks, and where their records end.
     pub(super) chunks: Vec<(Range<usize>, usize)>,
+    /// Heads of the chunks, with the names of their compressions.
+    heads: Vec<Range<usize>>,
     pub(super) summary: Range<usize>,
     /// End of the first record of the summary.
     summary_begun: usize,
@@ -291,6 +293,7 @@ impl Layout {
             unproved: Vec::new(),
             indexes: Vec::new(),
             chunks: Vec::new(),
+            heads: Vec::new(),
             summary: file.len()..file.len(),
             summary_begun: 0,
             has_sum: false,
@@ -314,6 +317,7 @@ impl Layout {
                     let records = place.start + head_bytes + data.len();
                     layout.chunks.push((place.clone(), records));
                     let head = place.start..place.start + head_bytes;
+                    layout.heads.push(head.clone());
                     let (mut inner, mut rest) = (head.end, &data[..]);
                     let is_proved = header.uncompressed_crc != 0;
                     if !is_proved {
@@ -430,9 +434,8 @@ impl Layout {
             count(index.start..index.start + 1) > 0 && count(index.clone()) > 1
         };
         self.indexes.iter().any(is_hidden)
-            || self.chunks.iter().enumerate().any(|(number, (chunk, _))| {
-                let head = chunk.start..chunk.start + CHUNK_HEAD;
-                let before = self.boundaries.iter().rev().find(|edge| **edge < chunk.start);
+            || self.heads.iter().enumerate().any(|(number, head)| {
+                let before = self.boundaries.iter().rev().find(|edge| **edge < head.start);
                 let before = before.filter(|_| number > 0).map_or(0, |edge| *edge);
                 count(head.clone()) > 0 && count(before..head.end) > 1
             })
