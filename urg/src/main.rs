@@ -54,10 +54,10 @@ use crate::commands::list::List;
 use crate::commands::packaging::{Completions, Manual};
 #[cfg(any(feature = "dds", feature = "zenoh", feature = "foxglove"))]
 use crate::commands::publish::Publish;
-#[cfg(feature = "serve")]
 use crate::commands::reboot::Reboot;
 use crate::commands::repair::Repair;
 use crate::commands::scan::ScanOnce;
+#[cfg(feature = "serve")]
 use crate::commands::serve::Serve;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
