@@ -162,9 +162,10 @@ impl Sensor {
         self.client.ask(|responder| Request::BaudRate { baud_rate, responder }).await
     }
 
-    /// Restarts the sensor (`RB`, in SCIP 2), as if you had power-cycled it: that ends an abnormal state
-    /// (`0L`), in which it refuses to measure. Returns once the sensor obeys. Then the link is lost for the
-    /// seconds that the sensor needs, and the driver restores the laser and the baud rate, as always.
+    /// Restarts the sensor (`RB`, in SCIP 2), as switching its power off and on does. This ends an abnormal
+    /// state, in which it refuses to measure with status `0L`. Returns as soon as the sensor has accepted the
+    /// command. The link is lost while the sensor starts, which takes some seconds. The driver finds it again,
+    /// and restores the laser and the baud rate.
     ///
     /// # Errors
     ///

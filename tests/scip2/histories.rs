@@ -1,7 +1,7 @@
-//! Random histories of a sensor of SCIP 2: faults of each kind, power cuts, restarts, pulled cables, streams
-//! that other programs left, laser settings, single scans beside streams, motors that turn at another
-//! speed than the sensor tells. Every scan that arrives is one that the sensor measured, whole and in
-//! order, and after the last fault scans come again.
+//! Random histories of a sensor of SCIP 2: faults of each kind, power cuts, restarts, pulled cables,
+//! streams that other programs left, laser settings, single scans beside streams, motors that turn at
+//! another speed than the sensor tells. Every scan that arrives is one that the sensor measured, whole
+//! and in order, and after the last fault scans come again.
 //!
 //! `SCIP_SCIP2=2000 cargo test --test it scip2` takes a minute; `SCIP_SCIP2_FIRST=2000` draws others.
 

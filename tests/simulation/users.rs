@@ -156,8 +156,8 @@ pub(crate) async fn requester(run: Run, sensor: Sensor, seed: u64) {
     }
 }
 
-/// Switches the laser and the baud rate, and restarts the sensor. A run has one operator, so that it knows which
-/// state to expect.
+/// Switches the laser and the baud rate, and restarts the sensor. A run has one operator, so that it
+/// knows which state to expect.
 pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
     let mut random = Random::new(seed);
     let emulator = &run.case.emulator;

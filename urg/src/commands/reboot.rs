@@ -9,8 +9,8 @@ use crate::port::open::open;
 
 /// Restart the sensor, as if you had power-cycled it
 ///
-/// This ends an abnormal state, in which the sensor refuses everything else with status '0L'. The
-/// sensor needs some seconds. A sensor of SCIP 1.1 cannot be restarted.
+/// Use it if the sensor refuses to measure with status '0L'. It measures again after some seconds.
+/// SCIP 1.1 has no such command: power-cycle the sensor.
 #[derive(Debug, clap::Args)]
 #[command(
     // It takes no scan.
