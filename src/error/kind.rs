@@ -352,9 +352,7 @@ impl fmt::Display for Sentence<'_> {
                     }
                     (None, Operation::LaserOff) => f.write_str(", and still measures")?,
                     (None, Operation::LaserOn) => f.write_str(", and did not act on it")?,
-                    (None, _) => {
-                        f.write_str(" (some adapters run at another one than they report)")?
-                    }
+                    (None, _) => f.write_str(" (some adapters misreport theirs)")?,
                 }
                 f.write_str("; power-cycle it")
             }

@@ -88,24 +88,17 @@ fn is_without_hardware(path: &str) -> bool {
 
 /// Reads the links in `directory`, sorted by name, each with its target.
 fn stable_paths(directory: &Path) -> Vec<(String, PathBuf)> {
-    let mut links = Vec::new();
-    for link in fs::read_dir(directory).into_iter().flatten().flatten() {
-        if let (Ok(target), Ok(name)) =
-            (link.path().canonicalize(), link.path().into_os_string().into_string())
-        {
-            links.push((name, target));
-        }
-    }
+    let entries = fs::read_dir(directory).into_iter().flatten().flatten();
+    let link = |path: PathBuf| Some((path.to_str()?.to_owned(), path.canonicalize().ok()?));
+    let mut links: Vec<_> = entries.filter_map(|entry| link(entry.path())).collect();
     links.sort();
     links
 }
 
 fn port_info(port: SerialPortInfo, links: &[(String, PathBuf)]) -> PortInfo {
-    let mut stable_paths = Vec::new();
-    if let Some(port) = device(&port.port_name) {
-        let to_it = links.iter().filter(|(_, target)| *target == port);
-        stable_paths.extend(to_it.map(|(name, _)| name.clone()));
-    }
+    let target = device(&port.port_name);
+    let to_it = links.iter().filter(|(_, path)| target.as_ref() == Some(path));
+    let stable_paths = to_it.map(|(name, _)| name.clone()).collect();
     let path = port.port_name;
     let usb = match port.port_type {
         SerialPortType::UsbPort(usb) => Some(usb),
@@ -134,6 +127,14 @@ pub(super) fn is_usb_sensor(path: &str) -> bool {
     // If listing fails, count the port as a serial line, which only makes its deadlines longer.
     let is_it = |port: &PortInfo| port.likely_sensor && is_same(&port.path, path);
     list_blocking().is_ok_and(|ports| ports.iter().any(is_it))
+}
+
+/// Returns the port's driver if it is one of Linux's that set another baud rate than they report above
+/// 115,200 baud (`findings/adapter_speeds.sh`).
+pub(super) fn misreporting_driver(path: &str) -> Option<String> {
+    let link = Path::new(SYS_CLASS_TTY).join(device(path)?.file_name()?).join("device/driver");
+    let name = fs::read_link(link).ok()?.file_name()?.to_str()?.to_owned();
+    (name.starts_with("mos7840") || name.starts_with("ti_usb_3410")).then_some(name)
 }
 
 /// Resolves `path` to its device. `None` on Windows: ports are no files there, and

@@ -32,6 +32,8 @@ pub(super) struct SerialPort {
     /// True for the sensor's own USB port, where the baud rate has no effect; false for an
     /// RS-232 adapter.
     is_usb_sensor: bool,
+    /// Driver that misreports high baud rates.
+    driver: Option<String>,
     /// Lock of its opener. Dropped after `tty`.
     lock: Option<OwnedMutexGuard<()>>,
 }
@@ -54,8 +56,9 @@ impl SerialPort {
         let builder = tokio_serial::new(path, baud_rate.bits_per_second());
         let mut tty = Tty::open(&builder).map_err(|error| open_error::explain(path, error))?;
         settle(&mut tty, baud_rate).map_err(|source| Error::open(path, source))?;
-        let is_usb_sensor = list::is_usb_sensor(path);
-        Ok(Self { tty: Some(tty), change: None, baud_rate, is_usb_sensor, lock: Some(lock) })
+        let (is_usb_sensor, lock) = (list::is_usb_sensor(path), Some(lock));
+        let driver = list::misreporting_driver(path);
+        Ok(Self { tty: Some(tty), change: None, baud_rate, is_usb_sensor, driver, lock })
     }
 
     /// Returns the terminal, as soon as no thread has it.
@@ -80,6 +83,15 @@ impl SerialPort {
             self.baud_rate = to;
         }
         Poll::Ready(outcome)
+    }
+
+    /// Does what remains before the port can be closed, and does not wait.
+    fn release(&mut self) {
+        self.discard_output();
+        #[cfg(unix)]
+        if let Some(tty) = &mut self.tty {
+            tty.unlock();
+        }
     }
 }
 
@@ -147,6 +159,11 @@ impl Port for SerialPort {
         cx: &mut Context<'_>,
         baud_rate: BaudRate,
     ) -> Poll<io::Result<()>> {
+        if let Some(driver) = self.driver.as_ref().filter(|_| baud_rate > BaudRate::B115200) {
+            return Poll::Ready(Err(io::Error::other(format!(
+                "above 115200 baud the kernel's driver {driver} sets another baud rate than it reports: use 115200 baud or less, or another adapter"
+            ))));
+        }
         loop {
             if let Some(Change { to, .. }) = self.change {
                 let outcome = ready!(self.poll_change(cx));
@@ -201,17 +218,6 @@ impl PortHints for SerialPort {
         if let Some(tty) = &self.tty {
             // Fails only if the port is gone, and with it its output.
             let _ = tty.clear(ClearBuffer::Output);
-        }
-    }
-}
-
-impl SerialPort {
-    /// Does what remains before the port can be closed, and does not wait.
-    fn release(&mut self) {
-        self.discard_output();
-        #[cfg(unix)]
-        if let Some(tty) = &mut self.tty {
-            tty.unlock();
         }
     }
 }

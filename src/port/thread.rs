@@ -45,15 +45,10 @@ pub(super) fn run_on<T: Send + 'static>(
 #[cfg(feature = "serial")]
 pub(super) fn drop_on<T: Send + 'static>(value: T) {
     let (sender, dropped) = mpsc::channel::<()>();
-    // Without a thread the value is dropped here, with the closure.
-    let started = thread().spawn(move || {
-        drop(value);
-        drop(sender);
-    });
-    if started.is_ok() {
-        // Ends when the sender is dropped.
-        let _ = dropped.recv_timeout(GRACE);
-    }
+    // In this order. Without a thread they are dropped here, with the closure.
+    let _ = thread().spawn(move || drop((value, sender)));
+    // Ends when the sender is dropped.
+    let _ = dropped.recv_timeout(GRACE);
 }
 
 fn thread() -> Builder {

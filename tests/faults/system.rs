@@ -214,7 +214,7 @@ async fn a_sensor_that_is_lost_at_its_new_baud_rate_is_explained() {
     assert_eq!(emulator.baud_rate(), Some(BaudRate::B250000));
     let text = error.to_string();
     assert!(text.contains("does not answer at the new baud rate"), "{text}");
-    assert!(text.contains("some adapters run at another one than they report"), "{text}");
+    assert!(text.contains("some adapters misreport theirs"), "{text}");
 }
 
 /// Returns a connector whose first link is the faulty one that `rig` makes; all later links

@@ -215,6 +215,49 @@ async fn only_an_adapter_has_a_baud_rate() {
 }
 
 #[tokio::test]
+async fn a_driver_that_misreports_gets_no_high_baud_rate() {
+    if !is_inside("a_driver_that_misreports_gets_no_high_baud_rate") {
+        return;
+    }
+    let emulator = truthful().baud_rate(BaudRate::B19200).build();
+    let terminal = Pty::open(&emulator, Some(Path::new("/dev/ttyUSB0"))).unwrap();
+    let name = fs::canonicalize("/dev/ttyUSB0").unwrap();
+    let device = Path::new("/sys/class/tty").join(name.file_name().unwrap()).join("device");
+    fs::create_dir_all(&device).unwrap();
+    tokio::spawn(terminal.serve());
+    for (driver, is_refused) in
+        [("mos7840", true), ("ti_usb_3410_5052_1", true), ("ftdi_sio", false)]
+    {
+        let link = device.join("driver");
+        let _ = fs::remove_file(&link);
+        symlink(Path::new("../drivers").join(driver), link).unwrap();
+        let sensor = builder().open("/dev/ttyUSB0").await.unwrap();
+        sensor.set_baud_rate(BaudRate::B115200).await.unwrap();
+        let outcome = sensor.set_baud_rate(BaudRate::B250000).await;
+        let baud_rate = if let Err(error) = &outcome {
+            assert!(
+                matches!(error.kind(), ErrorKind::UnsupportedBaudRate { source: Some(_), .. }),
+                "{error:?}"
+            );
+            let remedy = format!("driver {driver} sets another baud rate than it reports: use");
+            assert!(format!("{error:?}").contains(&remedy), "{error:?}");
+            BaudRate::B115200
+        } else {
+            BaudRate::B250000
+        };
+        assert_eq!(outcome.is_err(), is_refused, "{driver}");
+        // It stayed with the sensor.
+        assert_eq!(sensor.version().await.unwrap().serial_number, "H0713090");
+        let state = sensor.watch_state().get();
+        assert!(
+            matches!(state, State::Connected { baud_rate: Some(now), .. } if now == baud_rate),
+            "{state:?}"
+        );
+        sensor.close().await;
+    }
+}
+
+#[tokio::test]
 async fn the_list_has_sensors_first_and_no_name_without_hardware() {
     if !is_inside("the_list_has_sensors_first_and_no_name_without_hardware") {
         return;
