@@ -292,6 +292,8 @@ impl fmt::Display for Sentence<'_> {
                     f.write_str(
                         ", and stop other programs that are connected to it: it may serve only one",
                     )?;
+                } else if baud_rate.is_none() && !searched {
+                    f.write_str(", and its model: a UST-05LN or UTX-10LN does not speak SCIP")?;
                 }
                 match (bytes, words) {
                     (0, _) => Ok(()),

@@ -99,6 +99,8 @@ async fn a_silent_sensor_on_usb_is_an_error() {
         matches!(error.kind(), ErrorKind::NoAnswer { baud_rate: None, searched: false, .. }),
         "{error:?}"
     );
+    // These have a sensor's USB id.
+    assert!(error.to_string().contains("UST-05LN or UTX-10LN does not speak SCIP"), "{error}");
 }
 
 #[tokio::test(start_paused = true)]
