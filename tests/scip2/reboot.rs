@@ -4,7 +4,7 @@ use std::future::pending;
 use std::time::Duration;
 
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader, duplex, split};
-use tokio::time::sleep;
+use tokio::time::{Instant, sleep};
 use tokio_scip::{Error, ErrorKind, Rate, Sensor, Window};
 use urg_emulator::{Emulator, Fault, Faults, Model};
 
@@ -43,6 +43,25 @@ async fn a_sensor_that_was_restarted_measures_again() {
         revolution(&scan);
         assert!(clock(&sensor).await < before, "{model:?}");
         assert_eq!(sensor.stats().reconnects, 1, "{model:?}");
+    }
+}
+
+/// As soon as one that was power-cycled: `guide/recovery.md` says 2 s on USB.
+#[tokio::test(start_paused = true)]
+async fn a_sensor_that_boots_for_long_is_found_again() {
+    for model in MODELS {
+        for boot in [1_000, 1_300, 2_100, 6_110, 6_800].map(Duration::from_millis) {
+            let emulator = numbered(model).boot_time(boot).build();
+            let opening = builder().wait_for_sensor(true).connect(emulator);
+            let sensor = opening.await.unwrap();
+            let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+            while stream.next().await.unwrap().is_err() {}
+            sensor.reboot().await.unwrap();
+            let booted = Instant::now() + boot;
+            while stream.next().await.unwrap().is_err() || Instant::now() < booted {}
+            let late = booted.elapsed();
+            assert!(late < Duration::from_secs(2), "{model:?} after {boot:?}: {late:?}");
+        }
     }
 }
 
