@@ -113,7 +113,7 @@ pub enum RecordingError {
     },
     /// The recording has neither replies to polls nor `/scan` messages of a URG.
     #[error(
-        "no scan in this recording: expected replies of a sensor, or messages of a URG on the topic /scan{}{}",
+        "no scan in this recording: expected replies of a sensor, or sensor_msgs/msg/LaserScan of a URG on the topic /scan{}{}",
         listed(left_out),
         others(topics)
     )]

@@ -38,7 +38,7 @@ impl LatchedTopic {
         });
         is_latched.then(|| Self {
             name: channel.topic.into(),
-            has_frames: channel.schema == Some(MessageType::TF_MESSAGE.name()),
+            has_frames: channel.schema.is_some_and(|name| MessageType::TF_MESSAGE.is_named(name)),
         })
     }
 }

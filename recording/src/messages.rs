@@ -10,8 +10,6 @@ use super::reply::RecordedReply;
 use crate::event::Event;
 use crate::ros::{self, CdrError};
 
-/// Scan of ROS 1, which in ROS 2 has another name and encoding.
-const ROS1_SCAN: &str = "sensor_msgs/LaserScan";
 /// Longest name of a topic of ROS 2.
 const MAX_NAME_BYTES: usize = 255;
 
@@ -31,22 +29,15 @@ pub(super) struct Unread {
 /// file may define one again: then it makes no difference whether a channel is repeated.
 fn topic(channel: &Channel<'_>) -> (Option<Topic>, Result<Topic, (LeftOutReason, String)>) {
     let known = Topic::ALL.into_iter().find(|topic| topic.name() == channel.topic);
-    let is_a = |topic: &Topic| channel.schema == Some(topic.message_type().name());
-    let is_ros1 =
-        channel.schema == Some(ROS1_SCAN) || known.is_some() && channel.encoding == "ros1";
-    let topic = match known {
-        // Without a type, or if it was lost with a damaged part, assume the topic's own.
-        Some(topic) => Some(topic).filter(|topic| channel.schema.is_none() || is_a(topic)),
-        None => Some(Topic::Scans).filter(is_a),
-    };
-    let topic = match topic {
-        _ if is_ros1 => Err((LeftOutReason::Ros1, String::new())),
-        None => Err((LeftOutReason::OtherType, String::new())),
-        Some(_) if channel.encoding != "cdr" => {
-            let encoding = channel.encoding.chars().take(MAX_NAME_BYTES);
-            Err((LeftOutReason::OtherEncoding, encoding.flat_map(char::escape_default).collect()))
-        }
-        Some(topic) => Ok(topic),
+    let topic = known.unwrap_or(Topic::Scans);
+    // Without a type, or if it was lost with a damaged part, assume the topic's own.
+    let is_own = channel.schema.map_or(known.is_some(), |name| topic.message_type().is_named(name));
+    let shown = |text: &str| text.escape_default().take(MAX_NAME_BYTES).collect();
+    let topic = match channel.encoding {
+        _ if !is_own => Err((LeftOutReason::OtherType, shown(channel.schema.unwrap_or_default()))),
+        "cdr" => Ok(topic),
+        "ros1" => Err((LeftOutReason::Ros1, String::new())),
+        encoding => Err((LeftOutReason::OtherEncoding, shown(encoding))),
     };
     (known, topic)
 }

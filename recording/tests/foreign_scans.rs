@@ -280,12 +280,20 @@ fn message(
     (out, Expected { scanner, window, values, first_ray: stamp, revolution })
 }
 
+/// Names of the message's type: of rosbag2; in mcap-ros2-support's example; in the IDL; of DDS Recorder 1.5.3.
+const SCAN_NAMES: [&str; 4] = [
+    "sensor_msgs/msg/LaserScan",
+    "sensor_msgs/LaserScan",
+    "sensor_msgs::msg::LaserScan",
+    "sensor_msgs::msg::dds_::LaserScan_",
+];
+
 /// Writes a bag of up to 40 messages, described as a recording of `described` or not. Most have one
 /// scanner.
 fn bag(random: &mut Random, described: Option<(Scanner, Window)>) -> (Vec<u8>, Truth) {
     let options = WriteOptions::new().compression(None).chunk_size(Some(1 + random.below(4000)));
     let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
-    let scan = "sensor_msgs/msg/LaserScan";
+    let scan = *random.pick(&SCAN_NAMES);
     for (id, topic, name, encoding) in [
         (1, "/scan", scan, "cdr"),
         (2, "/scan", "sensor_msgs/LaserScan", "ros1"),
@@ -466,6 +474,21 @@ async fn every_message_is_a_scan_or_counted() {
     }
     println!("left out: {totals:?}");
     assert!(totals.len() == 8 && totals.values().all(|count| *count > 5), "{totals:?}");
+}
+
+#[test]
+fn another_type_is_named() {
+    let mut writer = WriteOptions::new().compression(None).create(Cursor::new(Vec::new())).unwrap();
+    let name = "foxglove.LaserScan";
+    let schema = writer.add_schema_with_id(1, name, "protobuf", b"").unwrap();
+    writer.add_channel_with_id(1, schema, "/scan", "protobuf", &BTreeMap::new()).unwrap();
+    let header = MessageHeader { channel_id: 1, sequence: 0, log_time: 1, publish_time: 1 };
+    writer.write_to_known_channel(&header, b"").unwrap();
+    writer.finish().unwrap();
+    let error = open(&writer.into_inner().into_inner()).scans().next().unwrap().unwrap_err();
+    let expected = "sensor_msgs/msg/LaserScan of a URG on the topic /scan; \
+                    1 message of another type (/scan, foxglove.LaserScan)";
+    assert!(error.to_string().ends_with(expected), "{error}");
 }
 
 /// Joined, two streams take turns. A part may have the scans of the earlier one alone.

@@ -33,7 +33,7 @@ fn of_frame(window: Window, frame: &str, tenth: u64, stamp: Duration) -> Message
     Message { topic: "/scan", log_time: Duration::from_millis(100 * tenth), data }
 }
 
-/// Writes a bag. Its first channel is of ROS 2; `/old/scan` is of ROS 1.
+/// Writes a bag. `/old/scan` is of ROS 1, and `rt/scan` as DDS Recorder 1.5.3 writes it.
 fn write(file: &Scratch, messages: impl IntoIterator<Item = Message>) {
     let mut bag =
         mcap::WriteOptions::new().compression(None).create(Cursor::new(Vec::new())).unwrap();
@@ -43,6 +43,7 @@ fn write(file: &Scratch, messages: impl IntoIterator<Item = Message>) {
         let channel = *channels.entry(message.topic).or_insert_with(|| {
             let (name, encoding) = match message.topic {
                 "/old/scan" => ("sensor_msgs/LaserScan", "ros1"),
+                "rt/scan" => ("sensor_msgs::msg::dds_::LaserScan_", "cdr"),
                 _ => ("sensor_msgs/msg/LaserScan", "cdr"),
             };
             bag.add_schema_with_id(number, name, "ros2msg", b"").unwrap();
@@ -134,6 +135,17 @@ fn a_bag_without_a_scan_is_named_for_what_it_is() {
     assert!(line.contains("5 messages of ROS 1 (the first: /old/scan)"), "{line}");
     let line = failure(&format!("info {}", file.path()));
     assert!(line.ends_with("; choose a topic: /old/scan\n"), "{line}");
+}
+
+#[test]
+fn the_topics_of_a_dds_recorder_are_read() {
+    let file = Scratch::mcap("dds");
+    write(&file, (0..5).map(|tenth| Message { topic: "rt/scan", ..scan(windows()[0], tenth) }));
+    let line = failure(&format!("info {}", file.path()));
+    assert!(line.ends_with("; choose a topic: rt/scan\n"), "{line}");
+    let info = run(&format!("info {} --topic rt/scan", file.path()), 0).stdout;
+    let row = "scans          5 of steps 44..=725\nleft out       none\n";
+    assert!(info.contains(row), "{info}");
 }
 
 #[test]

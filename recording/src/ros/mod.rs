@@ -93,9 +93,16 @@ impl MessageType {
 
     /// Name on a network: `sensor_msgs::msg::dds_::LaserScan_`.
     pub fn dds_name(&self) -> String {
-        let mut parts = self.name.split('/');
-        let (package, kind) = (parts.next().unwrap_or(""), parts.next().unwrap_or(""));
-        format!("{package}::{kind}::dds_::{}_", parts.next().unwrap_or(""))
+        format!("{}_", self.name.replace("/msg/", "::msg::dds_::"))
+    }
+
+    /// Returns true for each form of the name that programs write: of ROS 2, of ROS 1 and of DDS.
+    pub(crate) fn is_named(&self, name: &str) -> bool {
+        fn parts(name: &str) -> impl Iterator<Item = &str> {
+            let parts = name.split(['/', ':']).map(|part| part.trim_end_matches('_'));
+            parts.filter(|part| !matches!(*part, "" | "msg" | "dds"))
+        }
+        name == self.name || parts(name).eq(parts(self.name))
     }
 }
 
