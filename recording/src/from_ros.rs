@@ -67,6 +67,13 @@ impl MessageScan {
         let values = Values { distances, intensities: intensities(message), clock: None };
         Some(Self { stream, values, stamp, scan_time })
     }
+
+    /// Describes the directions of a message.
+    pub(super) fn directions(message: &LaserScan) -> String {
+        let angles = [message.angle_min, message.angle_max, message.angle_increment];
+        let ([from, to, by], points) = (angles.map(f32::to_degrees), message.ranges.len());
+        format!("{points} points from {from:.2}° to {to:.2}° every {by:.3}°")
+    }
 }
 
 /// Seconds of one revolution, if the message has them. `hokuyo_node` writes the time between two

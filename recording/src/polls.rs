@@ -12,7 +12,6 @@ use super::record::{Entry, Record};
 use super::reply::{RecordedReply, ReplyKind, Values, parse_version, version_lines};
 use super::stream::{Model, Stream};
 use super::{Recording, RecordingError};
-use crate::ros::LaserScan;
 use tokio_scip::{Version, Window};
 
 /// Number of polls to search for the window of a stream that is not described. They stay in memory,
@@ -93,16 +92,16 @@ impl PollReply {
         (values.distances.len() == window.points()).then_some(values)
     }
 
-    /// Returns true if this is a message that was played and recorded again, of that reply: both have
-    /// the same distances.
-    fn is_played_of(&self, reply: &Self) -> bool {
+    /// Returns true if this is a message of that reply, with another time or before it: both have the same
+    /// distances. rosbags 0.11.9 sorts what was received at the same time.
+    fn is_made_of(&self, reply: &Self) -> bool {
         let distances = |poll: &Self| {
             let (values, geometry) =
                 (poll.values_of(&self.asked.window)?, poll.asked.model.geometry());
             let distance = |value: &u32| geometry.measurement(*value).distance();
             Some(values.distances.iter().map(distance).collect::<Vec<_>>())
         };
-        self.is_played
+        (self.is_played || self.at == reply.at)
             && self.asked.model.is_like(&reply.asked.model)
             && distances(self).is_some_and(|seen| distances(reply) == Some(seen))
     }
@@ -129,6 +128,7 @@ pub(super) struct StreamPolls {
     /// with its first poll. Without a description, from the first polls.
     streams: VecDeque<Stream>,
     is_described: bool,
+    has_replies: bool,
     /// Sensor of the replies in SCIP 2, by the latest description or reply to `PP`.
     told: Option<Model>,
     pub(super) frame_ids: BTreeSet<String>,
@@ -172,6 +172,7 @@ impl StreamPolls {
         };
         let poll = match record.entry {
             Entry::Reply(reply) => {
+                self.has_replies = true;
                 if let Some(parameters) = reply.parameters() {
                     self.told = Some(parameters.into());
                 }
@@ -186,7 +187,7 @@ impl StreamPolls {
                 self.stamps.push_back((stamp, of.clone()));
                 self.waiting_bytes += reply.bytes.len();
                 let reply = poll(of, Answer::Reply(reply));
-                let message = self.waiting.iter_mut().rfind(|scan| scan.is_played_of(&reply));
+                let message = self.waiting.iter_mut().rfind(|scan| scan.is_made_of(&reply));
                 if let Some(message) = message {
                     *message = reply;
                     return;
@@ -209,16 +210,8 @@ impl StreamPolls {
                 } else {
                     let known = self.streams.iter().rev().cloned();
                     let Some(scan) = MessageScan::from_message(&message, known) else {
-                        let LaserScan { angle_min, angle_max, angle_increment, ranges, .. } =
-                            message;
-                        let degrees = [angle_min, angle_max, angle_increment].map(f32::to_degrees);
-                        let ([from, to, by], points) = (degrees, ranges.len());
-                        self.left_out.add(
-                            LeftOutReason::OtherLaser,
-                            format_args!(
-                                "{points} points from {from:.2}° to {to:.2}° every {by:.3}°"
-                            ),
-                        );
+                        let directions = MessageScan::directions(&message);
+                        self.left_out.add(LeftOutReason::OtherLaser, directions);
                         return;
                     };
                     let MessageScan { stream, values, stamp: measured, scan_time } = scan;
@@ -226,7 +219,7 @@ impl StreamPolls {
                     let is_played = since.unwrap_or_else(|error| error.duration()) > PLAYED_AFTER;
                     let scan = poll(stream, Answer::Values(values));
                     let scan = PollReply { stamp: measured, scan_time, is_played, ..scan };
-                    let place = self.unpaired.iter().position(|reply| scan.is_played_of(reply));
+                    let place = self.unpaired.iter().position(|reply| scan.is_made_of(reply));
                     match place.and_then(|place| self.unpaired.remove(place)) {
                         Some(reply) => PollReply { answer: Answer::Repeated, ..reply },
                         None => scan,
@@ -275,8 +268,9 @@ impl StreamPolls {
 
     /// Returns true if the reply of the next poll, a message, may follow.
     fn may_have_reply(&self) -> bool {
-        let has_replies = !self.stamps.is_empty() && self.waiting.len() < MAX_UNPAIRED;
-        has_replies && self.waiting.front().is_some_and(|poll| poll.is_played)
+        let Some(poll) = self.waiting.front().filter(|_| self.has_replies) else { return false };
+        let most = if poll.is_played { MAX_UNPAIRED } else { 2 };
+        matches!(poll.answer, Answer::Values(_)) && self.waiting.len() < most
     }
 
     /// Returns the sensor of a reply in SCIP 2: the one whose stream asks for it, or else the latest.
