@@ -1,5 +1,4 @@
-//! [`Laser`]: switches the laser as the service asks, and switches it on again if something else switched it
-//! off.
+//! [`Laser`]: switches the laser as the service asks, and on again if something else switched it off.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,8 +16,7 @@ const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs
 
 /// Laser of the sensor: what is known of it, and when to try again what the sensor refused.
 pub(crate) struct Laser {
-    /// True if the sensor has confirmed that its laser is off, as the service asked. Nothing is
-    /// polled then.
+    /// True if the sensor has confirmed that its laser is off, as asked. Nothing is polled then.
     is_off: bool,
     /// When to switch it again, because it did not follow the last time.
     retry_at: Option<Instant>,
@@ -163,8 +161,7 @@ impl Laser {
         outcome
     }
 
-    /// Records that the sensor refuses to measure `window`: because of `error`, or although its
-    /// laser is on.
+    /// Records that the sensor refuses to measure `window`: because of `error`, or with its laser on.
     pub(crate) fn record_refusal(&mut self, window: Window, error: Option<ErrorKind>) {
         let now = Instant::now();
         let (longest, known) = (RETRY.1, |refused: &RefusedWindow| refused.window == window);

@@ -19,8 +19,7 @@ pub struct RawReply<'a> {
     /// reply to a fence and for a frame with another echo.
     pub command: Option<Command>,
     /// Request of SCIP 2 that the frame answers, even if the reply is malformed. The frame begins with
-    /// it, unless an earlier reply was cut short. `None` for the reply to a probe, and for a frame of
-    /// another request.
+    /// it, unless an earlier reply was cut short. `None` for the reply to a probe or another request.
     pub request: Option<scip2::Request>,
     /// Bytes as received, without the two LFs at the end and without NULs at the front.
     pub bytes: &'a [u8],

@@ -78,8 +78,7 @@ impl Request {
     }
 }
 
-/// What the service asked the sensor to be, recorded when the driver takes the request, with or
-/// without a link.
+/// What the service asked the sensor to be, recorded when the driver takes the request, even without a link.
 #[derive(Debug, Default)]
 pub(crate) struct DesiredSettings {
     pub(crate) laser: Option<bool>,

@@ -1,5 +1,4 @@
-//! [`Schedules`]: the polls of all streams, and when each is due. Knows nothing of ports
-//! and replies.
+//! [`Schedules`]: the polls of all streams, and when each is due. Knows no ports or replies.
 
 use std::mem::{Discriminant, discriminant};
 use std::sync::Arc;

@@ -49,8 +49,7 @@ const MOTOR_GATE: f64 = 1.2e-3;
 const LARGEST_DEVIATION: f64 = 0.2e-3;
 /// The fit starts again after a pause of this many seconds.
 const LONGEST_PAUSE: f64 = 30.0;
-/// Number of agreeing late arrivals, less the others, that mean a jump of a clock that has left the
-/// motor's line.
+/// Number of agreeing late arrivals, less the others, that mean a jump of a clock that left the motor's line.
 const JUMP: u32 = 5;
 /// After this many late arrivals in a row, stamps rest on the arrivals until one fits again.
 const DOUBTED: u32 = 2;
@@ -83,8 +82,7 @@ struct Lines {
     motor: Line,
     /// Number of arrivals that have fitted, less the late ones before the lines were used.
     count: u32,
-    /// True if a revolution has left the motor's line, and no arrival has fitted since: then the clock
-    /// may have jumped.
+    /// True if a revolution has left the motor's line, and no arrival fitted since: the clock may have jumped.
     has_moved: bool,
     misfits: Misfits,
     /// Number of misfits since an arrival has fitted, without those that came at once after another.

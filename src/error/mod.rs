@@ -31,8 +31,7 @@ use crate::protocol::{MalformedError, ParameterError, ReplyError, WindowError};
 /// In a log, write [`ErrorChain`], which has both. `{:?}` writes the same: a `main` that returns the
 /// error tells your user what to do. `{:#?}` writes the kind with all its fields, for a bug report.
 ///
-/// An error is a pointer, and cheap to clone: all callers that wait for the same event get the same
-/// error.
+/// An error is a pointer, and cheap to clone: all callers that wait for one event get the same error.
 ///
 /// A direction without a distance is not an error but a [`Measurement`](crate::Measurement).
 #[derive(Clone)]

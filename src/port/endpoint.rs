@@ -96,8 +96,7 @@ impl FromStr for Endpoint {
 
     /// # Errors
     ///
-    /// Fails with [`ErrorKind::InvalidEndpoint`] and the reason. Does not check whether the port
-    /// exists.
+    /// Fails with [`ErrorKind::InvalidEndpoint`] and the reason. Does not look for the port.
     fn from_str(text: &str) -> Result<Self, Error> {
         let invalid = |reason| ErrorKind::InvalidEndpoint { text: text.to_owned(), reason };
         Ok(parse(text).map_err(invalid)?)

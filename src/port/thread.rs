@@ -60,8 +60,7 @@ fn thread() -> Builder {
 mod tests {
     use super::*;
 
-    /// Hangs when it is dropped, as the port of a device that takes no bytes, until the sender is
-    /// dropped.
+    /// Hangs when it is dropped, as the port of a stuck device does, until the sender is dropped.
     struct Hanging(mpsc::Receiver<()>);
 
     impl Drop for Hanging {

@@ -268,8 +268,7 @@ impl Window {
         baud_rate.wire_time(POLL_LEN + self.reply_len())
     }
 
-    /// Start, end and cluster count as one number, which is never 0. It is cheaper to keep and to
-    /// compare.
+    /// Start, end and cluster count as one number, which is never 0. It is cheaper to compare.
     pub(crate) const fn key(&self) -> u64 {
         self.start as u64 | (self.end as u64) << 16 | (self.cluster_count as u64) << 32
     }

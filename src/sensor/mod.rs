@@ -232,8 +232,7 @@ impl Sensor {
         self.client.observers().observe_until_dropped(observer)
     }
 
-    /// When the last good scan arrived, over all streams and single scans, and why there is no
-    /// newer one.
+    /// When the last good scan arrived, over all streams and single scans, and why none is newer.
     pub fn freshness(&self) -> Freshness {
         self.client.shared().freshness()
     }

@@ -208,6 +208,7 @@ fn is_same(before: &State, now: &State) -> bool {
             State::Disconnected { since: before, error: last },
             State::Disconnected { since, error },
         ) => before == since && text(last) == text(error),
+        (State::Recovering, State::Recovering) => true,
         _ => false,
     }
 }

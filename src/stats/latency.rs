@@ -1,5 +1,4 @@
-//! [`LatencyStats`]: distribution of reply times, in a histogram of fixed size that never
-//! allocates.
+//! [`LatencyStats`]: distribution of reply times, in a histogram of fixed size.
 
 use std::fmt;
 use std::time::Duration;

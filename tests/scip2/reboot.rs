@@ -1,11 +1,15 @@
 //! A sensor is restarted by its own command.
 
 use std::future::pending;
+use std::pin::pin;
+use std::sync::{Arc, Mutex};
+use std::task::{Context, Wake, Waker};
 use std::time::Duration;
 
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader, duplex, split};
 use tokio::time::{Instant, sleep};
-use tokio_scip::{Error, ErrorKind, Rate, Sensor, Window};
+use tokio_scip::state::StateWatch;
+use tokio_scip::{Error, ErrorKind, Rate, Sensor, State, Window};
 use urg_emulator::{Emulator, Fault, Faults, Model};
 
 use super::refusals::{PARAMETERS, VERSION};
@@ -57,7 +61,8 @@ async fn a_sensor_that_boots_for_long_is_found_again() {
             let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
             while stream.next().await.unwrap().is_err() {}
             sensor.reboot().await.unwrap();
-            let booted = Instant::now() + boot;
+            // It answers for another second.
+            let booted = Instant::now() + Duration::from_secs(1) + boot;
             while stream.next().await.unwrap().is_err() || Instant::now() < booted {}
             let late = booted.elapsed();
             assert!(late < Duration::from_secs(2), "{model:?} after {boot:?}: {late:?}");
@@ -113,8 +118,9 @@ async fn scip_1_has_no_such_command() {
     sensor.scan(Window::DETECTION).await.unwrap();
 }
 
-/// Sensor that restarts at the second command, and is silent then, or hangs up.
-async fn restart_without_an_answer(hangs_up: bool) -> Result<(), Error> {
+/// Sensor that restarts at the second command, and is silent then, or hangs up. It answers the first one,
+/// or neither.
+async fn restart_without_an_answer(hangs_up: bool, is_mute: bool) -> Result<(), Error> {
     let (near, far) = duplex(4096);
     tokio::spawn(async move {
         let (read, mut write) = split(far);
@@ -125,10 +131,14 @@ async fn restart_without_an_answer(hangs_up: bool) -> Result<(), Error> {
                 Some("RB") if restarts == 1 => break,
                 Some("RB") => {
                     restarts += 1;
+                    if is_mute {
+                        continue;
+                    }
                     "01Q"
                 }
                 Some("VV") => VERSION,
                 Some("PP") => PARAMETERS,
+                Some("GD") => "10Q",
                 _ => "00P",
             };
             write.write_all(format!("{command}\n{reply}\n\n").as_bytes()).await.unwrap();
@@ -141,8 +151,8 @@ async fn restart_without_an_answer(hangs_up: bool) -> Result<(), Error> {
 
 #[tokio::test(start_paused = true)]
 async fn a_sensor_may_restart_without_an_answer() {
-    for hangs_up in [false, true] {
-        restart_without_an_answer(hangs_up).await.unwrap();
+    for (hangs_up, is_mute) in [(false, false), (true, false), (false, true), (true, true)] {
+        restart_without_an_answer(hangs_up, is_mute).await.unwrap();
     }
 }
 
@@ -153,4 +163,50 @@ async fn a_dead_sensor_does_not_restart() {
     emulator.set_faults(Faults::none().every(Fault::CommandLost));
     let error = sensor.reboot().await.unwrap_err();
     assert!(error.to_string().contains("did not answer RB within 400 ms"), "{error}");
+}
+
+/// Reads the state at the moment when the waker is called.
+struct AtWake {
+    state: StateWatch,
+    seen: Mutex<Option<State>>,
+}
+
+impl Wake for AtWake {
+    fn wake(self: Arc<Self>) {
+        *self.seen.lock().unwrap() = Some(self.state.get());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_link_is_lost_before_the_caller_knows() {
+    let sensor = builder().connect(numbered(Model::Ust10lx).build()).await.unwrap();
+    let at_wake = Arc::new(AtWake { state: sensor.watch_state(), seen: Mutex::default() });
+    let waker = Waker::from(Arc::clone(&at_wake));
+    let mut reboot = pin!(sensor.reboot());
+    while reboot.as_mut().poll(&mut Context::from_waker(&waker)).is_pending() {
+        sleep(Duration::from_millis(1)).await;
+    }
+    let seen = at_wake.seen.lock().unwrap().take();
+    assert!(matches!(seen, Some(State::Recovering)), "{seen:?}");
+    sensor.watch_state().connected().await.unwrap();
+    assert!(clock(&sensor).await < 2000);
+}
+
+#[tokio::test(start_paused = true)]
+async fn requests_wait_until_the_sensor_is_back() {
+    for boot in [0, 1, 4] {
+        let boot = Duration::from_secs(boot);
+        let emulator = numbered(Model::Utm30lx).boot_time(boot).build();
+        let patient = builder().request_timeout(Duration::from_secs(10));
+        let sensor = patient.connect(emulator.clone()).await.unwrap();
+        sleep(Duration::from_secs(60)).await;
+        let (mut stream, start) =
+            (sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap(), Instant::now());
+        next(&mut stream).await;
+        sensor.reboot().await.unwrap();
+        let scan = sensor.scan(Window::DETECTION).await.unwrap();
+        assert_eq!((emulator.counts().resets, scan.reconnects()), (1, 1), "{boot:?}");
+        assert!(clock(&sensor).await < 60_000, "{boot:?}");
+        assert!(start.elapsed() < boot + Duration::from_millis(4500), "{:?}", start.elapsed());
+    }
 }

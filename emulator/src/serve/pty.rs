@@ -107,8 +107,7 @@ async fn unlock(slave: &OwnedFd) {
 #[derive(Debug)]
 struct TerminalPair {
     master: SerialStream,
-    /// Kept open so that the terminal survives its clients. Not locked, so that they can
-    /// lock it.
+    /// Kept open so that the terminal survives its clients. Not locked, so that they can.
     slave: OwnedFd,
     path: PathBuf,
     _symlink: Option<Symlink>,

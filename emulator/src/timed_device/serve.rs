@@ -21,6 +21,8 @@ use tokio_scip::BaudRate;
 
 /// While the line is busy, a sensor keeps the scans of this time, and drops those that follow.
 const BACKLOG: Duration = Duration::from_millis(200);
+/// How long a sensor answers as before after the second `RB`, as in urg_stamped's urg_sim.
+const RESTART: Duration = Duration::from_secs(1);
 
 impl TimedDevice {
     pub(super) fn serve_command(&mut self, at: Instant) {
@@ -47,7 +49,6 @@ impl TimedDevice {
             return;
         }
         let Answer { bytes, effect } = self.execute(at, &line, &faults);
-
         let duration = self.byte_time() * bytes.len() as u32;
         let at = match effect {
             Effect::Wait(micros) => at + Duration::from_micros(micros),
@@ -117,7 +118,7 @@ impl TimedDevice {
                     self.take_effect(at, Effect::BaudRate(BaudRate::B19200));
                 }
             }
-            Effect::Reboot => self.schedule(self.transmitter.free(), TimedEvent::Reset),
+            Effect::Reboot => self.schedule(self.transmitter.free() + RESTART, TimedEvent::Reset),
         }
     }
 

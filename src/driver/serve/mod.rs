@@ -21,7 +21,7 @@ use super::request::{Abandoned, Request, RequestQueue, Responder};
 use super::schedule::Schedules;
 use super::session::Session;
 use super::transport::Timer;
-use crate::state::Shared;
+use crate::state::{Shared, State};
 use crate::{BaudRate, ErrorKind, Geometry};
 
 /// Why a session is no longer served.
@@ -102,8 +102,7 @@ impl Service<'_> {
         self.check_baud_rate(session.baud_rate());
         let mut latest = Turn::Poll;
         'turns: loop {
-            // Only bytes from the sensor show that the link is alive: some requests are answered
-            // without it.
+            // Only bytes from the sensor show that the link is alive: some requests work without it.
             let now = Instant::now();
             let heard = session.heard_at();
             // A stream shows it by itself, and a probe would end it.
@@ -196,8 +195,12 @@ impl Service<'_> {
             Request::Reboot(responder) => {
                 let outcome = Box::pin(session.reboot()).await;
                 let restarts = outcome.is_ok();
+                if restarts {
+                    // Before the caller can wait for the sensor to be connected again.
+                    self.shared.enter(State::Recovering);
+                }
                 Self::respond(responder, outcome)?;
-                // Looks for it at once, and gives it the desired settings again.
+                // Looks for it, and gives it the desired settings again.
                 let silent = LinkError::Silent(ErrorKind::disconnected(None));
                 if restarts { Err(silent.into()) } else { Ok(()) }
             }

@@ -1,5 +1,4 @@
-//! Sets the laser and the baud rate as the service wants them: on request, and again after a link was
-//! lost.
+//! Sets the laser and the baud rate as the service wants them: on request, and after a link was lost.
 
 use tokio::time::Instant;
 

@@ -104,8 +104,7 @@ pub(super) fn record_malformed(
     ExchangeError::Command(error)
 }
 
-/// Names `asked` in the error of a command that was sent on its behalf: the caller knows nothing of
-/// the other one.
+/// Names `asked` in the error of a command that was sent on its behalf: the caller knows only `asked`.
 pub(super) fn on_behalf_of(asked: impl Asked) -> impl FnOnce(ExchangeError) -> ExchangeError {
     move |error| match error {
         ExchangeError::Link(LinkError::Silent(error)) => LinkError::Silent(match error {

@@ -23,11 +23,12 @@ mod line;
 mod scip1;
 mod scip2;
 
+use std::future::poll_fn;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Duration;
 
-use tokio::time::Instant;
+use tokio::time::{Instant, timeout};
 
 use self::errors::{not_confirmed, on_behalf_of};
 use self::line::Line;
@@ -46,6 +47,9 @@ use crate::scan::Values;
 use crate::state::{Shared, VersionReply};
 use crate::stats::MotorStats;
 use crate::{BaudRate, ErrorKind, Geometry, Window};
+
+/// How long to wait until a sensor restarts: urg_stamped's urg_sim answers for another second.
+const RESTART: Duration = Duration::from_millis(1500);
 
 /// Values of a window.
 #[derive(Debug)]
@@ -109,6 +113,8 @@ pub(crate) struct Session {
     scip1: Scip1,
     /// `Some` while the sensor speaks SCIP 2.
     scip2: Option<Box<scip2::State>>,
+    /// True once the sensor has been told to restart.
+    restarts: bool,
 }
 
 impl Session {
@@ -133,7 +139,7 @@ impl Session {
             observers,
             shared,
         };
-        Self { wanted, scip1: Scip1 { line, unique_requests }, scip2: None }
+        Self { wanted, scip1: Scip1 { line, unique_requests }, scip2: None, restarts: false }
     }
 
     /// Closes the port.
@@ -276,11 +282,23 @@ impl Session {
         }
     }
 
-    /// Restarts the sensor, which is silent then.
+    /// Restarts the sensor, which answers as before [for a moment](Self::await_restart).
     pub(crate) async fn reboot(&mut self) -> Result<(), ExchangeError> {
-        match self.scip2() {
+        let outcome = match self.scip2() {
             Some(mut scip2) => scip2.reboot().await,
             None => Err(ExchangeError::Command(ErrorKind::UnsupportedReboot)),
+        };
+        self.restarts = outcome.is_ok();
+        outcome
+    }
+
+    /// If the sensor was told to restart, waits until it must be silent, or the port has ended: the system
+    /// reuses the name of a USB port only if that is closed before the sensor is back.
+    pub(crate) async fn await_restart(&mut self) {
+        if std::mem::take(&mut self.restarts) {
+            let port = &mut self.scip1.line.transport;
+            let ended = async { while poll_fn(|cx| port.poll_idle(cx)).await.is_ok() {} };
+            let _ = timeout(RESTART, ended).await;
         }
     }
 
@@ -289,8 +307,7 @@ impl Session {
     /// # Errors
     ///
     /// [`NotConfirmed`](ErrorKind::NotConfirmed) if it stays as it is. [`Refused`](ErrorKind::Refused)
-    /// if the sensor refuses both the command and to measure: then nothing tells whether the laser is
-    /// off.
+    /// if the sensor refuses both the command and to measure: the laser may be on or off.
     pub(crate) async fn set_laser(&mut self, on: bool) -> Result<(), ExchangeError> {
         match self.scip2() {
             Some(mut scip2) => scip2.set_laser(on).await,

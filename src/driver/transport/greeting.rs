@@ -30,8 +30,7 @@ impl Greeting {
         self.0.extend(fresh.iter().take(room));
     }
 
-    /// Returns true if a telnet command came first, as from a server that begins by negotiating
-    /// options.
+    /// Returns true if a telnet command came first, as from a server that negotiates options.
     pub(super) fn is_telnet(&self) -> bool {
         matches!(self.0[..], [IAC, WILL..=DONT, ..])
     }

@@ -70,8 +70,7 @@ impl Transport {
         self.latest_at
     }
 
-    /// Returns true if a telnet command came first, as from a server that begins by negotiating
-    /// options.
+    /// Returns true if a telnet command came first, as from a server that negotiates options.
     pub(crate) fn began_as_telnet(&self) -> bool {
         self.greeting.is_telnet()
     }

@@ -1,5 +1,4 @@
-//! [`Pauses`]: the times during which nothing needs to wake the driver while a reply
-//! trickles in.
+//! [`Pauses`]: when nothing needs to wake the driver while a reply trickles in.
 //!
 //! A serial line delivers a scan in 20 to 100 pieces. Waking up for each one costs more than all
 //! other work on the scan (`benches/README.md`, item 12). Once a scan has begun, its rest takes at

@@ -22,8 +22,7 @@ use crate::{Error, ErrorChain, ErrorKind};
 /// has the wrong sensor.
 const BUSY_LIMIT: Duration = Duration::from_secs(2);
 
-/// Time between two listings of the ports, to find those that have appeared, and to retry those
-/// that were busy.
+/// Time between two listings of the ports, to find new ones, and to retry those that were busy.
 const LISTING_INTERVAL: Duration = Duration::from_millis(250);
 
 /// Time after which a port that is still being opened is skipped. Opening takes milliseconds unless

@@ -104,8 +104,7 @@ impl Scan {
 }
 
 /// Decodes lines of values of three characters. Returns true if each line has the right shape,
-/// characters and sum, for data of the right length. If `in_pairs`, distances and intensities take
-/// turns.
+/// characters and sum, for data of the right length. `in_pairs`: distances and intensities by turns.
 fn decode(data: &[u8], values: &mut [u32], in_pairs: bool) -> bool {
     let (blocks, rest) = data.as_chunks();
     let last = full_block(rest);
@@ -150,8 +149,7 @@ fn full_block(rest: &[u8]) -> [u8; BLOCK] {
     block
 }
 
-/// Decodes blocks of three full lines. Returns true if each line has characters only, its sum and
-/// its LF.
+/// Decodes blocks of three full lines. True if each line has characters only, its sum and its LF.
 ///
 /// No branch depends on a byte, so that the compiler uses vector instructions. It does so in one
 /// copy of this loop, but not in several.

@@ -10,8 +10,7 @@ use crate::protocol::{Codes, Geometry, MalformedError, Text, Version};
 /// Parses the data of a reply to `VV`.
 pub(super) fn version<'a>(data: &'a [u8]) -> Result<Version, MalformedError> {
     let lines: Vec<&[u8]> = data.split(|&byte| byte == b'\n').collect();
-    // Some URG-04LX send one character more, on a line of its own, and a wrong sum of the serial
-    // number.
+    // Some URG-04LX send one character more, on its own line, and a wrong sum of the serial number.
     let (lines, serial) = match &lines[..] {
         [lines @ .., serial, [_]] if serial.starts_with(b"SERI:") => (lines, Some(serial)),
         lines => (lines, None),

@@ -44,8 +44,7 @@ impl Reply {
     ///
     /// # Errors
     ///
-    /// Returns a [`ReplyError`] unless the frame is exactly what a sensor of SCIP 2 answers to this
-    /// request.
+    /// Returns a [`ReplyError`] unless the frame is exactly a reply of SCIP 2 to this request.
     pub fn parse(request: &Request, frame: &[u8]) -> Result<Self, ReplyError> {
         let (left, rest) = match request.strip_echo(frame) {
             Some((left, [b'\n', rest @ ..])) => (left, rest),

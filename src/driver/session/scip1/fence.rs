@@ -88,8 +88,7 @@ impl Scip1 {
         answer
     }
 
-    /// Waits until the device has taken the commands before. Returns false if it does not within
-    /// `latency`.
+    /// Waits until the device has taken earlier commands. Returns false if it does not within `latency`.
     async fn is_output_taken(&mut self, latency: Duration) -> bool {
         let end = Instant::now() + latency;
         while self.line.transport.holds_output() {

@@ -41,8 +41,7 @@ impl Scip1 {
         }
     }
 
-    /// Sends `command` and a fence. Returns the status of each answer, or `None` if the command has
-    /// none.
+    /// Sends `command` and a fence. Returns the status of each, or `None` if the command has none.
     async fn switch(
         &mut self,
         command: Command,

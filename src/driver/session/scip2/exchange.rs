@@ -184,8 +184,7 @@ pub(super) fn raw_reply<'a>(
 }
 
 /// Finds the reply to `request` in a frame, and its times. A reply that was cut short has no
-/// terminator, so the next one follows it in the same frame. It began no later than its bytes need on
-/// the line.
+/// terminator, so the next one follows it in the same frame. It began as long ago as its bytes take.
 pub(super) fn find_own<'a>(
     request: &Request,
     frame: &'a [u8],

@@ -10,7 +10,7 @@ mod stream;
 
 use std::time::Duration;
 
-use tokio::time::Instant;
+use tokio::time::{Instant, sleep};
 
 use self::exchange::{Answer, accepted, refusal, text};
 use self::stream::{Running, Waiting};
@@ -21,7 +21,7 @@ use super::super::sensor_clock::SensorClock;
 use super::super::transport::{Expected, Limits, ReplyTimes};
 use super::errors::{malformed, no_reply, not_confirmed, on_behalf_of};
 use super::line::Line;
-use super::{Acquired, Told};
+use super::{Acquired, RESTART, Told};
 use crate::codec::Frame;
 use crate::protocol::scip2::{self, Command, Content, Data, Label, Request, Scan, Stamp, Status};
 use crate::protocol::{MalformedError, Protocol, Text};
@@ -160,8 +160,7 @@ impl Scip2<'_> {
         }
     }
 
-    /// Stops a stream of scans that another program may have left. The laser is off then, as after
-    /// power-up.
+    /// Stops a stream that another program may have left. The laser is off then, as after power-up.
     pub(super) async fn stop(&mut self) -> Result<(), ExchangeError> {
         let mut failure = ErrorKind::disconnected(None);
         for _ in 0..PROBES_AT_A_BAUD_RATE {
@@ -220,8 +219,7 @@ impl Scip2<'_> {
         Ok(ParametersReply { parameters, frame })
     }
 
-    /// Asks for the sensor's state (`II`). Ends the stream first: asked during one, a UTM sends only half
-    /// of each scan.
+    /// Asks for the sensor's state (`II`). Ends the stream first: in one, a UTM would send half scans.
     pub(super) async fn state(&mut self) -> Result<scip2::State, ExchangeError> {
         self.stop_stray().await?;
         match self.ask_twice(Command::State).await?.content {
@@ -233,7 +231,7 @@ impl Scip2<'_> {
     /// Restarts the sensor by two commands within a second. A UST leaves some of them unanswered, and
     /// restarts all the same (urg_stamped's pull request 71).
     pub(super) async fn reboot(&mut self) -> Result<(), ExchangeError> {
-        let (mut once_more, mut tries) = (false, 3);
+        let (mut was_alive, mut tries) = (false, 3);
         loop {
             tries -= 1;
             let failure = match self.exchange(Command::Reboot).await {
@@ -242,15 +240,20 @@ impl Scip2<'_> {
                     if status.is_ok() {
                         return Ok(());
                     }
-                    once_more = true;
+                    was_alive = true;
                     ExchangeError::Command(refusal(&Command::Reboot, status))
                 }
-                Err(ExchangeError::Link(_)) if tries < 2 => return Ok(()),
+                Err(ExchangeError::Link(_)) if was_alive => return Ok(()),
                 Err(failure) if failure.is_lost_reply() => {
-                    let latency = self.latency(&Command::Reboot);
-                    if once_more && self.probe_once(latency).await.is_err() {
+                    if tries == 0 {
+                        // Until it restarts, it answers.
+                        sleep(RESTART).await;
+                    }
+                    let probe = self.probe_once(self.latency(&Command::Reboot)).await;
+                    if was_alive && probe.is_err() {
                         return Ok(());
                     }
+                    was_alive |= probe.is_ok();
                     failure
                 }
                 Err(failure) => return Err(failure),

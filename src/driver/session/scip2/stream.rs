@@ -27,8 +27,7 @@ use crate::{BaudRate, Error, ErrorKind, Geometry, Window};
 /// Milliseconds after which the sensor's clock begins anew: 24 bits (p. 12).
 const CLOCK: u32 = 1 << 24;
 const WRAP: Duration = Duration::from_millis(CLOCK as u64);
-/// By how much a scan may be older than the latest one: with a larger step back the clock has more likely
-/// jumped.
+/// By how much a scan may be older than the latest one: with a larger step back the clock has likely jumped.
 const OLDEST: Duration = Duration::from_secs(10);
 /// How much more than the arrivals the sensor's clock may have moved on between two scans, because the
 /// first was late. With a larger step it has more likely jumped.
