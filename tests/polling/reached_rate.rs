@@ -5,7 +5,7 @@ use std::time::Duration;
 use crate::common::{builder, truthful};
 use tokio::time::sleep;
 use tokio_scip::{Rate, ScanStream, Sensor, SensorBuilder, State, Window};
-use urg_emulator::{Emulator, Fault, Faults};
+use urg_emulator::{Emulator, Fault, Faults, Pace};
 
 /// Opens a sensor, and a stream that reaches its rate.
 async fn streaming(builder: SensorBuilder) -> (Emulator, Sensor, ScanStream) {
@@ -84,4 +84,16 @@ async fn it_is_unknown_while_the_laser_is_off() {
     sensor.laser_on().await.unwrap();
     sleep(Duration::from_secs(10)).await;
     assert!(reached(&sensor) > Some(9.0));
+}
+
+#[tokio::test(start_paused = true)]
+async fn damaged_replies_are_polled_once_a_revolution() {
+    let emulator = truthful().usb().pace(Pace::AtOnce).build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    emulator.set_faults(Faults::none().every(Fault::Drop(100..101)));
+    let _stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+    sleep(Duration::from_secs(20)).await;
+    let polls = sensor.stats().polls;
+    // 200 revolutions.
+    assert!((180..=210).contains(&polls), "{polls}");
 }

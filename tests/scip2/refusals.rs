@@ -13,8 +13,8 @@ pub(super) const VERSION: &str = "00P\nVEND:Hokuyo Automatic Co., Ltd.;;\nPROD:U
 pub(super) const PARAMETERS: &str = "00P\nMODL:UST-10LX;D\nDMIN:23;7\nDMAX:60000;J\nARES:1440;^\nAMIN:0;?\n\
     AMAX:1080;Z\nAFRT:540;0\nSCAN:2400;U";
 
-/// Returns a sensor that answers within a millisecond, and knows neither `GD` nor `MD`.
-fn sensor_without_scans() -> DuplexStream {
+/// Returns a sensor that answers within a millisecond, and answers `GD` and `MD` like this.
+fn sensor_without_scans(answer: &'static str) -> DuplexStream {
     let (near, far) = duplex(4096);
     tokio::spawn(async move {
         let (read, mut write) = split(far);
@@ -24,6 +24,7 @@ fn sensor_without_scans() -> DuplexStream {
                 Some("VV") => VERSION,
                 Some("PP") => PARAMETERS,
                 Some("BM" | "QT") => "00P",
+                Some("GD" | "MD") => answer,
                 Some(_) => "0Ee",
                 None => continue,
             };
@@ -46,9 +47,9 @@ async fn errors_of(stream: &mut ScanStream) -> Vec<Error> {
     errors
 }
 
-async fn refused(rate: Rate) -> (Sensor, Vec<Error>) {
+async fn refused(answer: &'static str, rate: Rate) -> (Sensor, Vec<Error>) {
     crate::common::limit::limit();
-    let sensor = builder().attach(sensor_without_scans()).await.unwrap();
+    let sensor = builder().attach(sensor_without_scans(answer)).await.unwrap();
     let mut stream = sensor.scans(Window::DETECTION, rate).await.unwrap();
     let errors = errors_of(&mut stream).await;
     (sensor, errors)
@@ -60,7 +61,7 @@ async fn a_refusal_to_measure_is_named() {
         (Rate::hz(2.0), &["BM", "'00'", "refuses to measure", "'0E'"][..]),
         (Rate::UNLIMITED, &["refused MD", "'0E'", "does not know the command"]),
     ] {
-        let (_sensor, errors) = refused(rate).await;
+        let (_sensor, errors) = refused("0Ee", rate).await;
         let [error] = &errors[..] else { panic!("{errors:?}") };
         let text = error.to_string();
         for part in parts {
@@ -70,9 +71,12 @@ async fn a_refusal_to_measure_is_named() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_refused_stream_is_asked_for_once_a_revolution() {
-    let (sensor, _) = refused(Rate::UNLIMITED).await;
-    let polls = sensor.stats().polls;
-    // 200 revolutions.
-    assert!((180..=210).contains(&polls), "{polls}");
+async fn a_stream_without_a_scan_is_asked_for_once_a_revolution() {
+    // It refuses, and its answer is damaged, or lacks the scan.
+    for answer in ["0Ee", "00x", "99b"] {
+        let (sensor, _) = refused(answer, Rate::UNLIMITED).await;
+        let polls = sensor.stats().polls;
+        // 200 revolutions.
+        assert!((180..=210).contains(&polls), "{answer}: {polls}");
+    }
 }

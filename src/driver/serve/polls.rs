@@ -54,7 +54,7 @@ impl Service<'_> {
         let Some(poll) = self.schedules.take_due(now) else { return Ok(true) };
         let window = poll.window;
         if !poll.is_measured {
-            self.fail(poll, self.unmeasured(window))?;
+            self.fail(poll, self.unmeasured(window), now)?;
             return Ok(true);
         }
         // Earlier, the session would have to confirm the reply, which costs a revolution.
@@ -69,7 +69,8 @@ impl Service<'_> {
         }
         match acquired {
             Ok(acquired) => self.deliver(poll, acquired, session.believed_baud_rate()),
-            Err(failure) => self.fail(poll, failure)?,
+            // A damaged reply may come at once, too.
+            Err(failure) => self.fail(poll, failure, now + self.scan_time)?,
         }
         Ok(true)
     }
@@ -85,14 +86,17 @@ impl Service<'_> {
         self.schedules.deliver(poll, scan, baud_rate);
     }
 
-    /// Ends a poll that has failed.
+    /// Ends a poll that has failed. At [`Rate::UNLIMITED`](crate::Rate::UNLIMITED) the next one is due `again`.
     #[cold]
-    pub(super) fn fail(&mut self, poll: DuePoll, failure: ExchangeError) -> Result<(), LinkError> {
-        let mut again = Instant::now();
+    pub(super) fn fail(
+        &mut self,
+        poll: DuePoll,
+        failure: ExchangeError,
+        again: Instant,
+    ) -> Result<(), LinkError> {
         // A refusal comes at once, and a window that the sensor lacks is not even sent.
-        if !failure.is_lost_reply() {
-            again += self.scan_time;
-        }
+        let pause = if failure.is_lost_reply() { Duration::ZERO } else { self.scan_time };
+        let again = again.max(Instant::now() + pause);
         let error = self.shared.link.error(command_error(failure)?);
         self.schedules.fail(poll, &error, again);
         Ok(())

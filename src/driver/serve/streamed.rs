@@ -1,5 +1,4 @@
-//! Scans that the sensor sends without being polled: starts them, and delivers each to the schedules
-//! that are due.
+//! Scans that the sensor sends unasked: starts them, and delivers each to the schedules that are due.
 
 use std::future::poll_fn;
 use std::task::Poll;
@@ -46,7 +45,8 @@ impl Service<'_> {
         match outcome {
             Ok(()) => self.streamed = Some(wish.skipped),
             Err(failure) => {
-                self.fail_streamed(&command_error(failure)?)?;
+                let again = Instant::now() + self.scan_time;
+                self.fail_streamed(&command_error(failure)?, again)?;
                 self.schedules.end_stream();
             }
         }
@@ -62,11 +62,11 @@ impl Service<'_> {
     }
 
     /// Ends the polls of the stream that are due now with an error.
-    fn fail_streamed(&mut self, error: &ErrorKind) -> Result<(), Stop> {
+    fn fail_streamed(&mut self, error: &ErrorKind, again: Instant) -> Result<(), Stop> {
         self.shared.counters.fail(self.shared.link.error(error.clone()));
         for poll in self.take_streamed(Duration::ZERO) {
             self.shared.counters.count_poll();
-            self.fail(poll, ExchangeError::Command(error.clone()))?;
+            self.fail(poll, ExchangeError::Command(error.clone()), again)?;
         }
         Ok(())
     }
@@ -113,7 +113,7 @@ impl Service<'_> {
             let streamed = match next {
                 Ok(streamed) => streamed,
                 Err(error) => {
-                    self.fail_streamed(&error)?;
+                    self.fail_streamed(&error, Instant::now())?;
                     continue;
                 }
             };
