@@ -67,6 +67,17 @@ impl Interrupt {
             _ = self.requested() => Err(Failure::Interrupted),
         }
     }
+
+    /// Does the same, but fails with a message.
+    pub(crate) async fn or_fail(
+        &self,
+        work: impl Future<Output = Result<(), Failure>>,
+    ) -> Result<(), Failure> {
+        tokio::select! {
+            done = work => done,
+            _ = self.requested() => Err(Failure::Failed("interrupted before it was done".into())),
+        }
+    }
 }
 
 /// Starts to listen for signals. The future completes at the first signal since this call, not

@@ -217,15 +217,16 @@ async fn run_command(command: Command) -> Result<(), Failure> {
         // These can be dropped at any await.
         Command::List(list) => interrupt.unless(list.run()).await,
         Command::Info(info) => interrupt.unless(info.run()).await,
-        Command::Scan(scan) => interrupt.unless(scan.run()).await,
-        Command::Laser(laser) => interrupt.unless(laser.run()).await,
-        Command::Baud(baud) => interrupt.unless(baud.run()).await,
-        Command::Reboot(reboot) => interrupt.unless(reboot.run()).await,
         Command::Emulate(emulate) => interrupt.unless(emulate.run()).await,
         Command::Completions(completions) => {
             interrupt.unless(completions.run(Cli::command())).await
         }
         Command::Man(man) => interrupt.unless(man.run(Cli::command())).await,
+        // So can these, but a script would take success for work that is done.
+        Command::Scan(scan) => interrupt.or_fail(scan.run()).await,
+        Command::Laser(laser) => interrupt.or_fail(laser.run()).await,
+        Command::Baud(baud) => interrupt.or_fail(baud.run()).await,
+        Command::Reboot(reboot) => interrupt.or_fail(reboot.run()).await,
     }
 }
 

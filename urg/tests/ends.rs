@@ -77,6 +77,20 @@ fn waiting_for_a_sensor_is_announced_and_can_be_interrupted() {
 }
 
 #[test]
+fn an_interrupted_setting_is_a_failure() {
+    let missing = Scratch::new("interrupted-setting");
+    for command in ["scan PORT", "laser PORT off", "baud PORT 115200", "reboot PORT"] {
+        let mut running =
+            Running::start(&format!("{command} --wait").replace("PORT", missing.path()));
+        assert!(running.notice().starts_with("urg: waiting for a sensor on "));
+        running.signal("INT");
+        let (status, notices) = running.end();
+        assert_eq!(status.code(), Some(1), "{command}");
+        assert_eq!(notices, ["urg: interrupted before it was done"], "{command}");
+    }
+}
+
+#[test]
 fn a_stream_ends_after_its_duration() {
     let mut stream = Running::start("stream emulated --duration 500ms");
     let lines = stream.rest().len();
