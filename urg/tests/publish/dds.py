@@ -33,6 +33,15 @@ node.create_subscription(LaserScan, "/scan", lambda _: print("scan", flush=True)
 rclpy.spin(node)
 """
 
+# Keeps the packets that Fast DDS sends within a frame.
+SMALL_PACKETS = """
+<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+<participant profile_name="all" is_default_profile="true"><rtps><propertiesPolicy><properties>
+<property><name>fastdds.max_message_size</name><value>1472</value></property>
+</properties></propertiesPolicy></rtps></participant>
+</profiles>
+"""
+
 rclpy.init()
 node = rclpy.create_node("observer")
 RELIABLE = QoSProfile(depth=1000)
@@ -69,9 +78,9 @@ class Reader:
 class Other:
     """A reader in a process of its own."""
 
-    def __init__(self, *arguments):
+    def __init__(self, *arguments, **settings):
         command = [sys.executable, "-c", READER, *arguments]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE)
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, env=os.environ | settings)
         os.set_blocking(self.process.stdout.fileno(), False)
 
     def has_scan(self):
@@ -238,6 +247,19 @@ def readers_ask_each_other_for_types():
     ok("a reader that asks others for the type gets scans, and one that follows it")
 
 
+def readers_limit_what_they_send():
+    """The guide recommends a property of Fast DDS for it. With `maxMessageSize` they get no scan."""
+    with tempfile.TemporaryDirectory() as folder, Urg("publish", "emulated"):
+        profile = Path(folder, "profile.xml")
+        profile.write_text(SMALL_PACKETS)
+        # The variable of Jazzy, and that of Kilted.
+        names = ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"]
+        other = Other("limited", **dict.fromkeys(names, str(profile)))
+        until("scans of a reader with small packets", other.has_scan, 40)
+        other.kill()
+    ok("a reader that sends small packets gets scans")
+
+
 def diagnostics_and_an_unplugged_sensor():
     with tempfile.TemporaryDirectory() as folder:
         port = Path(folder) / "urg"
@@ -290,6 +312,7 @@ if sys.argv[3:] != ["core"]:
         the_recipe_without_a_build,
         a_hundred_sensors_share_a_participant,
         processes_start_in_the_same_moment,
+        readers_limit_what_they_send,
         diagnostics_and_an_unplugged_sensor,
     ]
 for test in TESTS:
