@@ -57,9 +57,8 @@ pub(super) fn parse(content: &[u8], definitions: &Definitions) -> Option<Result<
         parse_entry(topic, stamp, data).map_err(|error| match error {
             CdrError::Malformed => (LeftOutReason::Malformed, format!("{} bytes", data.len())),
             CdrError::Compressed => (LeftOutReason::Compressed, String::new()),
-            CdrError::Encoding([first, second]) => {
-                let details = format!("CDR header {first:02x} {second:02x}");
-                (LeftOutReason::OtherEncoding, details)
+            CdrError::Encoding([a, b]) => {
+                (LeftOutReason::OtherEncoding, format!("CDR header {a:02x} {b:02x}"))
             }
         })
     });

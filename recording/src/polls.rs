@@ -288,10 +288,9 @@ impl StreamPolls {
         if poll.window.is_none() || !reply.is_streamed() {
             return false;
         }
-        let sent = reply.after_echo().unwrap_or_default();
+        let sent = reply.after_echo().unwrap_or_default().to_vec();
         let is_known = self.latest == sent;
-        self.latest.clear();
-        self.latest.extend_from_slice(sent);
+        self.latest = sent;
         is_known
     }
 

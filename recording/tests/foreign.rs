@@ -3,7 +3,8 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::io::Cursor;
+use std::io::{self, Cursor, Seek, SeekFrom, Write};
+use std::sync::{Arc, Mutex};
 
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, WriteOptions};
@@ -71,6 +72,55 @@ async fn a_foreign_copy_reads_as_the_original() {
         // The image is among them.
         assert_eq!(messages(&repaired), messages(&copied));
         assert_eq!(messages(&repaired).len(), records.len() + 1);
+    }
+}
+
+/// Output that stays as it is if the writer dies.
+#[derive(Default, Clone)]
+struct Disk(Arc<Mutex<Cursor<Vec<u8>>>>);
+
+impl Write for Disk {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.lock().unwrap().write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Seek for Disk {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.0.lock().unwrap().seek(to)
+    }
+}
+
+/// mcap 0.26.0 writes the lengths of a chunk once it is complete. Until then they are `u64::MAX`.
+#[tokio::test(start_paused = true)]
+async fn a_chunk_whose_writer_died_is_read() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 20).await;
+    for (chunk_size, joined) in [(None, false), (Some(50_000), false), (Some(50_000), true)] {
+        let disk = Disk::default();
+        let options = WriteOptions::new().compression(None).chunk_size(chunk_size);
+        let mut writer = options.create(disk.clone()).unwrap();
+        for message in mcap::MessageStream::new(&sink.bytes()).unwrap() {
+            writer.write(&message.unwrap()).unwrap();
+        }
+        let mut written = disk.0.lock().unwrap().get_ref().clone();
+        assert!(written.windows(8).any(|length| length == [0xff; 8]));
+        if joined {
+            // Then the chunk's end is not known: it is left out, but not the file after it.
+            written.extend(sink.bytes());
+        }
+        let mut recording = Recording::read(Cursor::new(written)).unwrap();
+        let records: Vec<_> = recording.by_ref().filter_map(Result::ok).collect();
+        if joined {
+            assert!(records.ends_with(&sink.records()) && records.len() > sink.records().len());
+        } else {
+            assert_eq!(records, sink.records(), "{chunk_size:?}");
+            assert!(recording.is_truncated());
+        }
     }
 }
 

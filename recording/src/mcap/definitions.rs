@@ -46,8 +46,7 @@ impl Definitions {
 
     pub(crate) fn channel(&self, number: u16) -> Option<Channel<'_>> {
         let mut fields = Fields(self.get(kind::CHANNEL, number)?);
-        let schema = self.get(kind::SCHEMA, fields.u16()?);
-        let schema = schema.and_then(|content| Fields(content).string());
+        let schema = self.get(kind::SCHEMA, fields.u16()?).and_then(|it| Fields(it).string());
         let (topic, encoding) = (fields.string()?, fields.string()?);
         Some(Channel { topic, schema, encoding, metadata: fields })
     }

@@ -16,6 +16,8 @@ use super::{
 const MAX_COMPRESSION_NAME: usize = 16;
 /// Length of a chunk's record up to its records, compressed or not.
 const MAX_CHUNK_HEAD: usize = CHUNK_HEAD + MAX_COMPRESSION_NAME;
+/// Most records of a chunk without its lengths, which mcap 0.26.0 (Rust) writes once the chunk is complete.
+const MAX_OPEN_BYTES: u64 = MAX_CHUNK_BYTES - MAX_CHUNK_HEAD as u64;
 /// Longest record that is not read.
 const MAX_SKIPPED_BYTES: u64 = u64::MAX - RECORD_HEAD as u64;
 /// Length of a message without data.
@@ -110,6 +112,7 @@ pub(super) fn measure(bytes: &[u8], after: After) -> Result<Option<Extent>, usiz
         // Of a later version, or private to other programs.
         _ => (0, 0, None, MAX_SKIPPED_BYTES),
     };
+    let length = if kind == kind::CHUNK && length == u64::MAX { most } else { length };
     if length > most {
         return Ok(None);
     }
@@ -125,7 +128,7 @@ pub(super) fn measure(bytes: &[u8], after: After) -> Result<Option<Extent>, usiz
         let Some(bytes) = bytes.get(at..at + width) else { return cut_off(at + width) };
         number.iter_mut().zip(bytes).for_each(|(to, from)| *to = *from);
         counts |= number != [0; 8];
-        fields = (fields + width as u64 + after).saturating_add(u64::from_le_bytes(number));
+        fields = (fields + width as u64 + after).saturating_add(or_open(number));
     }
     let name = Fields(bytes.get(RECORD_HEAD + numbers..).unwrap_or_default()).bytes();
     let first = name.and_then(<[u8]>::first);
@@ -159,6 +162,11 @@ pub(super) fn measure(bytes: &[u8], after: After) -> Result<Option<Extent>, usiz
     Ok(Some(Extent { kind, fields, end, counts, is_chunk: is_chunk && counts && has_name }))
 }
 
+/// Length of data, which may be open.
+fn or_open(length: [u8; 8]) -> u64 {
+    if length == [0xff; 8] { MAX_OPEN_BYTES } else { u64::from_le_bytes(length) }
+}
+
 /// Returns the kind and the content of each of some records that are not damaged.
 pub(super) fn records_of(records: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
     let mut rest = records;
@@ -187,10 +195,10 @@ fn has_lengths(kind: u8) -> bool {
 /// Parses the head of the chunk at the beginning of `bytes`, whatever its kind says, if its lengths agree.
 pub(super) fn chunk_head(bytes: &[u8]) -> Option<ChunkHead> {
     let mut fields = Fields(bytes.get(RECORD_HEAD..)?);
-    let (_start, _end, size) = (fields.u64()?, fields.u64()?, fields.u64()?);
+    let (_start, _end, size) = (fields.u64()?, fields.u64()?, or_open(fields.u64()?.to_le_bytes()));
     let crc = fields.u32()?;
     let name = fields.bytes()?;
-    let records = fields.u64()?;
+    let records = or_open(fields.u64()?.to_le_bytes());
     let start = CHUNK_HEAD + name.len();
     let agrees = name.len() <= MAX_COMPRESSION_NAME
         && records <= MAX_CHUNK_BYTES

@@ -39,11 +39,8 @@ impl Records {
             self.decompress(&head, is_whole)?;
             0..self.chunk.decompressed.len()
         };
-        self.chunk_bytes.add(
-            &head.compression,
-            found - head.records.start.min(found),
-            records.len(),
-        );
+        let stored = found - head.records.start.min(found);
+        self.chunk_bytes.add(&head.compression, stored, records.len());
         // A chunk that is cut short cannot be checked.
         self.is_truncated |= !is_whole;
         let is_proved = is_whole && head.crc != 0;
@@ -81,11 +78,10 @@ impl Records {
             let rest = std::mem::take(&mut self.chunk.rest);
             let bytes = self.bytes(rest.clone());
             let known = bytes.len() as u64;
-            let is_cut = self.chunk.is_cut;
             let extent = measure(bytes, After::End).ok().flatten();
             let begins = |at, kinds| begins(bytes, After::End, at, kinds);
             let next = match &extent {
-                Some(extent) if extent.is_endless() && is_cut => continue,
+                Some(extent) if extent.is_endless() && self.chunk.is_cut => continue,
                 Some(extent) if self.chunk.is_proved || extent.is_proved() => extent.end,
                 Some(extent) => {
                     let kinds = |at| if at == 0 { |_| true } else { is_known };
@@ -107,7 +103,7 @@ impl Records {
                     self.define(extent.kind, &content)?;
                     return Ok(Some((extent.kind, content)));
                 }
-                Some(extent) if next == extent.end && is_cut => {}
+                Some(extent) if next == extent.end && self.chunk.is_cut => {}
                 _ => return Err(self.damaged("a record in a chunk has a wrong length")),
             }
         }
