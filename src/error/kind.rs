@@ -321,7 +321,7 @@ impl fmt::Display for Sentence<'_> {
             ),
             ErrorKind::AnotherSensor { expected, found } => write!(
                 f,
-                "{sensor} has the wrong serial number: expected {expected}, found {found}: plug in {expected}, or ask for {found}"
+                "{sensor} has the wrong serial number: expected {expected}, found {found}: plug in {expected}, or ask for {found} or any sensor"
             ),
             ErrorKind::Disconnected { .. } => write!(f, "the link to {sensor} is lost"),
             ErrorKind::Timeout { command, after, .. } => {
