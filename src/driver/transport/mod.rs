@@ -27,7 +27,6 @@ use tokio::time::Instant;
 use self::budget::poll_read;
 use self::greeting::Greeting;
 use self::pause::Pauses;
-use self::received::Beginning;
 pub(crate) use self::received::{ReceivedFrame, ReplyTimes};
 pub(crate) use self::timer::Timer;
 use self::timer::again_if_interrupted;
@@ -66,8 +65,8 @@ pub(crate) struct Transport {
     written: usize,
     /// When the latest command was written.
     requested: Instant,
-    /// Beginning of the frame that is arriving.
-    beginning: Option<Beginning>,
+    /// Times of the frame that is arriving, once it has begun.
+    times: Option<ReplyTimes>,
     /// End of the exchange.
     deadline: Instant,
     /// End of the pause, if there is one now.
@@ -136,7 +135,7 @@ impl Transport {
             output: BytesMut::with_capacity(WRITE_BUFFER_BYTES),
             written: 0,
             requested: now,
-            beginning: None,
+            times: None,
             deadline: now,
             paused_until: None,
             deadline_timer: Timer::default(),
@@ -202,7 +201,7 @@ impl Transport {
         self.expect(expected, self.requested + within);
         self.frames = 1;
         self.pauses.begin_reply();
-        (self.beginning, self.paused_until) = (None, None);
+        (self.times, self.paused_until) = (None, None);
         if self.input.iter().any(|byte| *byte != 0) {
             // Its first bytes came with the last ones of the frame before.
             self.begin_reply();
@@ -252,18 +251,17 @@ impl Transport {
         }
         self.frames += 1;
         self.pauses.begin_reply();
-        (self.beginning, self.paused_until) = (None, None);
+        (self.times, self.paused_until) = (None, None);
         Ok(())
     }
 
     fn end_frame(&mut self, frame: Frame<usize>) -> ReceivedFrame<'_> {
-        let Beginning { at, stamp, is_replayed } = match self.beginning {
-            Some(beginning) => beginning,
+        let mut times = match self.times {
+            Some(times) => times,
             None => self.begin_reply(),
         };
         let received = Instant::now();
-        let times =
-            ReplyTimes { requested: self.requested, began: at, received, stamp, is_replayed };
+        times.received = received;
         self.latest_at = Some(received);
         self.pauses.end_reply(received, frame.wire_len());
         ReceivedFrame { input: &mut self.input, frame, times }
@@ -312,8 +310,7 @@ impl Transport {
                     let fresh = self.input.len().saturating_sub(read);
                     // The codec skips the NULs that a line leaves in front of a reply when it
                     // changes its speed or breaks.
-                    if self.beginning.is_none()
-                        && self.input.iter().skip(fresh).any(|byte| *byte != 0)
+                    if self.times.is_none() && self.input.iter().skip(fresh).any(|byte| *byte != 0)
                     {
                         self.begin_reply();
                     }
@@ -337,11 +334,12 @@ impl Transport {
     }
 
     /// Records that a reply begins now.
-    fn begin_reply(&mut self) -> Beginning {
-        let at = Instant::now();
+    fn begin_reply(&mut self) -> ReplyTimes {
+        let began = Instant::now();
         let recorded = self.port.hints().and_then(|hints| hints.wall_clock());
-        let stamp = recorded.unwrap_or_else(SystemTime::now);
-        *self.beginning.insert(Beginning { at, stamp, is_replayed: recorded.is_some() })
+        let (stamp, is_replayed) = (recorded.unwrap_or_else(SystemTime::now), recorded.is_some());
+        let (requested, received) = (self.requested, began);
+        *self.times.insert(ReplyTimes { requested, began, received, stamp, is_replayed })
     }
 
     /// Fails at the deadline. Polled last, so that work succeeds if it is done at its deadline.

@@ -21,14 +21,6 @@ pub(crate) struct ReplyTimes {
     pub(crate) is_replayed: bool,
 }
 
-/// Time of a reply's first byte.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Beginning {
-    pub(super) at: Instant,
-    pub(super) stamp: SystemTime,
-    pub(super) is_replayed: bool,
-}
-
 /// Frame received after a command. Dropping it removes it from the input.
 #[derive(Debug)]
 pub(crate) struct ReceivedFrame<'a> {
