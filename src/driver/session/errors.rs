@@ -6,7 +6,7 @@ use super::super::failure::{ExchangeError, LinkError};
 use super::super::transport::NoFrame;
 use crate::ErrorKind;
 use crate::error::Operation;
-use crate::protocol::{MalformedError, Protocol, ReplyError, Text};
+use crate::protocol::{Command, MalformedError, Protocol, ReplyError, Text, scip2};
 use crate::state::Shared;
 
 /// Command that can fail.
@@ -14,8 +14,41 @@ pub(super) trait Asked {
     /// What the driver wanted.
     fn operation(&self) -> Operation;
 
-    /// Command as it is sent.
+    /// Command as it is sent, without the label of SCIP 2, which differs each time.
     fn text(&self) -> Text;
+}
+
+impl Asked for Command {
+    fn operation(&self) -> Operation {
+        match self {
+            Self::Version => Operation::Identify,
+            Self::LaserOn => Operation::LaserOn,
+            Self::LaserOff => Operation::LaserOff,
+            Self::BaudRate(_) => Operation::SetBaudRate,
+            Self::Distances(_) => Operation::Scan,
+        }
+    }
+
+    fn text(&self) -> Text {
+        self.bytes()[..].into()
+    }
+}
+
+impl Asked for scip2::Command {
+    fn operation(&self) -> Operation {
+        match self {
+            Self::LaserOn => Operation::LaserOn,
+            Self::LaserOff => Operation::LaserOff,
+            Self::BaudRate(_) => Operation::SetBaudRate,
+            Self::Reboot => Operation::Reboot,
+            Self::Latest { .. } | Self::Stream(_) => Operation::Scan,
+            _ => Operation::Identify,
+        }
+    }
+
+    fn text(&self) -> Text {
+        self.to_string().into()
+    }
 }
 
 pub(super) fn timeout(asked: &impl Asked, after: Duration) -> ErrorKind {

@@ -41,7 +41,7 @@ use super::observers::ReplyObservers;
 use super::rarely::rarely;
 use super::transport::{ReplyTimes, Transport};
 use crate::port::Port;
-use crate::protocol::scip2::{Command as Scip2Command, Request, State, Status};
+use crate::protocol::scip2::{Command as Scip2Command, State, Status};
 use crate::protocol::{Command, Protocol, Text};
 use crate::scan::Values;
 use crate::state::{Shared, VersionReply};
@@ -374,10 +374,7 @@ impl Session {
 
     fn baud_rate_not_confirmed(&self, baud_rate: BaudRate, status: Option<Text>) -> ErrorKind {
         match &self.scip2 {
-            Some(_) => {
-                let request = Request::new(Scip2Command::BaudRate(baud_rate), None);
-                not_confirmed(&request, status, None)
-            }
+            Some(_) => not_confirmed(&Scip2Command::BaudRate(baud_rate), status, None),
             None => not_confirmed(&Command::BaudRate(baud_rate), status, None),
         }
     }

@@ -8,7 +8,6 @@
 //! `exchange` sends one command and judges its reply, `fence` proves that no older reply can follow,
 //! and `unique_requests` chooses what each `G` asks for.
 
-mod errors;
 mod exchange;
 mod fence;
 mod laser;

@@ -57,25 +57,25 @@ impl Scip2<'_> {
         if self.state.is_streaming() && command != Command::LaserOff {
             self.end_stream().await?;
         }
-        let request = Request::new(command, self.state.next_label());
-        let outcome = self.ask_within(latency, &request, is_probe).await;
+        let outcome = self.ask_within(latency, command, is_probe).await;
         // If the stream still runs, its next scan has a deadline of its own.
         self.expect_scan();
         outcome
     }
 
-    /// Sends `request` and returns its reply. A damaged reply fails: waiting for a better one would
-    /// cost the whole deadline.
-    pub(super) async fn ask(&mut self, request: &Request) -> Result<Answer, ExchangeError> {
-        self.ask_within(self.latency(request.command()), request, false).await
+    /// Sends `command`, even during a stream, and returns its reply. A damaged reply fails: waiting for
+    /// a better one would cost the whole deadline.
+    pub(super) async fn ask(&mut self, command: Command) -> Result<Answer, ExchangeError> {
+        self.ask_within(self.latency(&command), command, false).await
     }
 
     async fn ask_within(
         &mut self,
         latency: Duration,
-        request: &Request,
+        command: Command,
         is_probe: bool,
     ) -> Result<Answer, ExchangeError> {
+        let request = &Request::new(command, self.state.next_label());
         let within = self.time_limit(request, latency);
         let baud_rate = self.line.believed_baud_rate();
         let expected = Expected { reply: None, limits: &LIMITS };
@@ -84,12 +84,12 @@ impl Scip2<'_> {
             self.state.has_stray_frames |= self.line.discard_pending().await? > 0;
         }
         let sent = self.line.transport.send(request.bytes(), &expected, within).await;
-        sent.map_err(|failure| record_silence(&self.line.shared, request, failure))?;
+        sent.map_err(|failure| record_silence(&self.line.shared, &command, failure))?;
         loop {
             let received = match self.line.transport.next_frame().await {
                 Ok(received) => received,
                 Err(failure) => {
-                    return Err(record_silence(&self.line.shared, request, failure));
+                    return Err(record_silence(&self.line.shared, &command, failure));
                 }
             };
             let (mut times, wire_len) = (received.times, received.wire_len());
@@ -108,8 +108,7 @@ impl Scip2<'_> {
                 if let Some((frame, own)) = own {
                     times = own;
                     let parsed = Reply::parse(request, frame).map_err(Some);
-                    let is_identity =
-                        matches!(request.command(), Command::Version | Command::Parameters);
+                    let is_identity = matches!(command, Command::Version | Command::Parameters);
                     let kept = if is_identity { frame.to_vec() } else { Vec::new() };
                     outcome = parsed.map(|reply| (reply, kept, frame.len()));
                 }
@@ -118,11 +117,11 @@ impl Scip2<'_> {
             match outcome {
                 Ok((Reply { status, content }, frame, length)) => {
                     self.line.is_settled = true;
-                    if *request.command() == Command::LaserOff {
+                    if command == Command::LaserOff {
                         // Whatever it answers: it may be unable to stop now.
                         self.state.stopped();
                     }
-                    if status.is_ok_for(request.command()) {
+                    if status.is_ok_for(&command) {
                         let bytes = request.bytes().len() + 1 + length + 2;
                         if let Some(baud_rate) = baud_rate {
                             self.line.check_speed(baud_rate.wire_time(bytes), &times);
@@ -133,7 +132,7 @@ impl Scip2<'_> {
                     return Ok(Answer { request: *request, status, content, frame, times });
                 }
                 Err(Some(error)) => {
-                    return Err(record_malformed(&self.line.shared, request, error, wire_len));
+                    return Err(record_malformed(&self.line.shared, &command, error, wire_len));
                 }
                 Err(None) if is_streamed => {}
                 Err(None) => self.record_stray(wire_len, like_a_stream),
@@ -205,8 +204,9 @@ pub(super) fn find_own<'a>(
     Some((own, ReplyTimes { began, stamp, ..*times }))
 }
 
-/// Returns the answer, or the error of `command` if the sensor refused it.
-pub(super) fn accepted(command: &Command, answer: Answer) -> Result<Answer, ExchangeError> {
+/// Returns the answer, or the error of its command if the sensor refused it.
+pub(super) fn accepted(answer: Answer) -> Result<Answer, ExchangeError> {
+    let command = answer.request.command();
     if answer.status.is_ok_for(command) {
         return Ok(answer);
     }
@@ -215,7 +215,7 @@ pub(super) fn accepted(command: &Command, answer: Answer) -> Result<Answer, Exch
 
 /// Error of a command that the sensor refused.
 pub(super) fn refusal(command: &Command, status: Status) -> ErrorKind {
-    refused(&Request::new(*command, None), text(status), status.meaning(command))
+    refused(command, text(status), status.meaning(command))
 }
 
 pub(super) fn text(status: Status) -> Text {

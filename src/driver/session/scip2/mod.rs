@@ -4,7 +4,6 @@
 //! The driver asks for the newest scan each time (`GD`), or once for every scan (`MD`, in `stream`).
 //! `exchange` sends one request and waits for its reply.
 
-mod errors;
 mod exchange;
 mod stream;
 
@@ -145,9 +144,9 @@ impl Scip2<'_> {
 
     /// Sends the command that makes a URG-04LX speak SCIP 2, and returns the status.
     async fn enter_once(&mut self) -> Result<Text, ExchangeError> {
-        let request = Request::new(Command::Version, None);
-        let late = |failure| no_reply(&request, failure);
-        let within = self.time_limit(&request, self.latency(request.command()));
+        let command = Command::Version;
+        let late = |failure| no_reply(&command, failure);
+        let within = self.time_limit(&Request::new(command, None), self.latency(&command));
         let expected = Expected { reply: None, limits: &LIMITS };
         self.line.transport.send(ENTER, &expected, within).await.map_err(late)?;
         loop {
@@ -164,8 +163,7 @@ impl Scip2<'_> {
     pub(super) async fn stop(&mut self) -> Result<(), ExchangeError> {
         let mut failure = ErrorKind::disconnected(None);
         for _ in 0..PROBES_AT_A_BAUD_RATE {
-            let request = Request::new(Command::LaserOff, self.state.next_label());
-            match self.ask(&request).await {
+            match self.ask(Command::LaserOff).await {
                 Ok(_) => return Ok(()),
                 Err(ExchangeError::Command(error)) => failure = error,
                 Err(lost) => return Err(lost),
@@ -236,7 +234,7 @@ impl Scip2<'_> {
             tries -= 1;
             let failure = match self.exchange(Command::Reboot).await {
                 Ok(answer) => {
-                    let status = accepted(&Command::Reboot, answer)?.status;
+                    let status = accepted(answer)?.status;
                     if status.is_ok() {
                         return Ok(());
                     }
@@ -310,7 +308,7 @@ impl Scip2<'_> {
         }
         self.stop_stray().await?;
         let command = Command::Latest { data: self.state.data, window };
-        let answer = accepted(&command, self.exchange(command).await?)?;
+        let answer = accepted(self.exchange(command).await?)?;
         match answer.content {
             Content::Scan(scan) => Ok(acquired(scan, answer.times)),
             _ => Err(self.no_data(command)),
@@ -327,18 +325,17 @@ impl Scip2<'_> {
             Err(failure) if failure.is_lost_reply() && !self.state.is_streaming() => None,
             Err(error) => return Err(error),
         };
-        let request = Request::new(command, None);
-        let mut probe = self.probe().await.map_err(on_behalf_of(request))?;
+        let mut probe = self.probe().await.map_err(on_behalf_of(command))?;
         let is_off = |probe: Status| probe.characters() == *b"10";
         // Any refusal but `10` tells nothing of the laser (p. 13), and may pass.
         if !probe.is_ok() && !is_off(probe) && !self.line.is_closing() {
-            probe = self.probe().await.map_err(on_behalf_of(request))?;
+            probe = self.probe().await.map_err(on_behalf_of(command))?;
         }
         Err(ExchangeError::Command(match probe.is_ok() {
             true if on => return Ok(()),
             false if !on && is_off(probe) => return Ok(()),
             false if !on => refusal(&self.one_step(), probe),
-            _ => not_confirmed(&request, status, on.then(|| text(probe))),
+            _ => not_confirmed(&command, status, on.then(|| text(probe))),
         }))
     }
 
@@ -347,8 +344,7 @@ impl Scip2<'_> {
         &mut self,
         baud_rate: BaudRate,
     ) -> Result<Text, ExchangeError> {
-        let command = Command::BaudRate(baud_rate);
-        let answer = accepted(&command, self.exchange(command).await?)?;
+        let answer = accepted(self.exchange(Command::BaudRate(baud_rate)).await?)?;
         Ok(text(answer.status))
     }
 
@@ -361,12 +357,11 @@ impl Scip2<'_> {
             }
             outcome => outcome,
         };
-        accepted(&command, answer?)
+        accepted(answer?)
     }
 
     /// Error for a reply without the data that its command has.
     fn no_data(&self, command: Command) -> ExchangeError {
-        let request = Request::new(command, None);
-        ExchangeError::Command(malformed(&request, MalformedError::NoData))
+        ExchangeError::Command(malformed(&command, MalformedError::NoData))
     }
 }

@@ -83,12 +83,12 @@ impl Scip2<'_> {
         let stream = Stream::new(self.state.data, window).skipping(skipped);
         let stream = stream.map_err(|error| Error::other(error).into_kind());
         let command = Command::Stream(stream.map_err(ExchangeError::Command)?);
-        let request = Request::new(command, self.state.next_label());
-        let answer = self.ask(&request).await;
+        let answer = self.ask(command).await;
         // Without an answer, nothing tells whether the sensor sends one.
         self.state.has_stray_frames |= answer.is_err();
-        let answer = accepted(&command, answer?)?;
-        let running = Running { request, window, skipped, begun: answer.times.requested };
+        let answer = accepted(answer?)?;
+        let (request, begun) = (answer.request, answer.times.requested);
+        let running = Running { request, window, skipped, begun };
         (self.state.running, self.state.keeps_laser) = (Some(running), true);
         // The first answer may be lost, and a scan come in its place.
         if let Content::Scan(scan) = answer.content {
@@ -101,8 +101,7 @@ impl Scip2<'_> {
     /// Ends the stream, if one runs. The laser stays on.
     pub(crate) async fn end_stream(&mut self) -> Result<(), ExchangeError> {
         self.stop().await?;
-        let request = Request::new(Command::LaserOn, self.state.next_label());
-        match self.ask(&request).await {
+        match self.ask(Command::LaserOn).await {
             // The next request shows whether the laser is on.
             Ok(_) | Err(ExchangeError::Command(_)) => Ok(()),
             Err(lost) => Err(lost),
@@ -152,7 +151,7 @@ impl Scip2<'_> {
             let received = match ready!(self.line.transport.poll_unasked_frame(cx)) {
                 Ok(received) => received,
                 Err(failure) => {
-                    match record_silence(&self.line.shared, &request, failure) {
+                    match record_silence(&self.line.shared, request.command(), failure) {
                         ExchangeError::Link(failure) => return Poll::Ready(Err(failure)),
                         ExchangeError::Command(error) => self.state.break_off(error),
                     }
@@ -300,7 +299,7 @@ impl State {
 
     fn add_malformed(&mut self, request: &Request, error: ReplyError, len: usize, shared: &Shared) {
         // The two LFs at its end do not count for the frame.
-        let error = record_malformed(shared, request, error, len as u64 + 2);
+        let error = record_malformed(shared, request.command(), error, len as u64 + 2);
         self.waiting.push_back(Err(error.kind().clone()));
     }
 
