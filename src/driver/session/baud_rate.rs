@@ -30,7 +30,7 @@ impl Session {
         deadline: Instant,
     ) -> Result<(), ExchangeError> {
         self.scip2 = None;
-        let before = self.scip1.line.transport.received();
+        let before = self.scip1.line.transport.received;
         let (mut malformed, mut refused) = (None, BTreeSet::new());
         while refused.len() < baud_rates.len() {
             for &baud_rate in baud_rates {
@@ -74,7 +74,7 @@ impl Session {
                         baud_rate: self.baud_rate().filter(|_| !self.is_searchable()),
                         searched: self.is_searchable(),
                         refused: refused.into_iter().collect(),
-                        bytes: self.scip1.line.transport.received() - before,
+                        bytes: self.scip1.line.transport.received - before,
                         words: self.scip1.line.transport.words(),
                     };
                     return Err(LinkError::Silent(malformed.unwrap_or(silence)).into());
@@ -94,7 +94,7 @@ impl Session {
         }
         // Try the port first: the sensor must not move to a baud rate that the port lacks.
         if let Err(error) = self.set_port_baud_rate(baud_rate).await {
-            let is_adjustable = self.scip1.line.transport.is_adjustable();
+            let is_adjustable = self.scip1.line.transport.adjustable;
             if let Some(old) = old.filter(|_| is_adjustable) {
                 self.set_port_baud_rate(old).await.map_err(lost)?;
             }
@@ -114,7 +114,7 @@ impl Session {
         };
         let is_silent = status.is_none();
         let not_confirmed = self.baud_rate_not_confirmed(baud_rate, status);
-        if is_silent && self.scip1.line.is_closing() {
+        if is_silent && self.scip1.line.shared.is_closing() {
             return Err(LinkError::Silent(not_confirmed).into());
         }
         sleep(CHANGE_TIME).await;
@@ -123,7 +123,7 @@ impl Session {
             return Ok(());
         }
         self.set_port_baud_rate(old).await.map_err(lost)?;
-        if !self.scip1.line.is_closing() && self.answers(3).await? {
+        if !self.scip1.line.shared.is_closing() && self.answers(3).await? {
             return Err(ExchangeError::Command(not_confirmed));
         }
         Err(LinkError::Silent(not_confirmed).into())
@@ -135,7 +135,7 @@ impl Session {
         for _ in 0..tries {
             match self.probe_once(SEARCH_LATENCY).await {
                 Ok(()) => return Ok(true),
-                Err(ExchangeError::Command(_)) if self.scip1.line.is_closing() => break,
+                Err(ExchangeError::Command(_)) if self.scip1.line.shared.is_closing() => break,
                 Err(ExchangeError::Command(_)) => {}
                 Err(failure) => return Err(failure),
             }

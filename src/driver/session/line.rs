@@ -10,6 +10,11 @@ use super::super::transport::{ReplyTimes, Transport};
 use crate::BaudRate;
 use crate::state::Shared;
 
+/// Number of unanswered fences or probes after which a link counts as silent. Fewer if the sensor may
+/// have restarted at another baud rate.
+const TRIES: usize = 6;
+pub(super) const TRIES_AT_A_BAUD_RATE: usize = 3;
+
 /// Open port, and what is known of it in either protocol.
 pub(super) struct Line {
     pub(super) transport: Transport,
@@ -25,24 +30,19 @@ pub(super) struct Line {
 }
 
 impl Line {
-    /// Returns true while the driver is closing. A silent sensor then gets no second try.
-    pub(super) fn is_closing(&self) -> bool {
-        self.shared.is_closing()
-    }
-
-    /// Baud rate of the port, unless it has none.
-    pub(super) fn baud_rate(&self) -> Option<BaudRate> {
-        self.transport.baud_rate()
-    }
-
     /// Baud rate of the line, unless it has none or a reply has disproved it.
     pub(super) fn believed_baud_rate(&self) -> Option<BaudRate> {
-        self.baud_rate().filter(|_| !self.is_baud_rate_disproved)
+        self.transport.baud_rate().filter(|_| !self.is_baud_rate_disproved)
     }
 
     /// Returns true if the sensor can be searched for at several baud rates.
     pub(super) fn is_searchable(&self) -> bool {
-        self.transport.is_adjustable() && self.baud_rate().is_some()
+        self.transport.adjustable && self.transport.baud_rate().is_some()
+    }
+
+    /// Number of unanswered commands after which the link counts as silent.
+    pub(super) fn tries(&self) -> usize {
+        if self.is_searchable() { TRIES_AT_A_BAUD_RATE } else { TRIES }
     }
 
     /// Sets this side's baud rate. Forgets what is known of the line at the former one.

@@ -144,7 +144,7 @@ impl Session {
 
     /// Closes the port.
     pub(crate) fn close(self) -> Leftovers {
-        let interrupted = self.scip1.line.transport.is_interrupted();
+        let interrupted = self.scip1.line.transport.interrupted;
         Leftovers { unique_requests: self.scip1.unique_requests, interrupted }
     }
 
@@ -202,7 +202,7 @@ impl Session {
 
     /// When the sensor was last heard.
     pub(crate) fn heard_at(&self) -> Option<Instant> {
-        self.scip1.line.transport.latest_at()
+        self.scip1.line.transport.latest_at
     }
 
     pub(crate) fn can_die_silently(&mut self) -> bool {
@@ -221,7 +221,7 @@ impl Session {
 
     /// Baud rate of the port, unless it has none.
     pub(crate) fn baud_rate(&self) -> Option<BaudRate> {
-        self.scip1.line.baud_rate()
+        self.scip1.line.transport.baud_rate()
     }
 
     /// Baud rate of the line, unless it has none or a reply has disproved it.

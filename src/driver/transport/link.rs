@@ -6,8 +6,6 @@ use std::io;
 use std::sync::Arc;
 use std::task::{Context, Poll, ready};
 
-use tokio::time::Instant;
-
 use super::super::failure::LinkError;
 use super::Transport;
 use super::pause::Pauses;
@@ -43,31 +41,6 @@ impl Transport {
         let unsupported = |error: &io::Error| error.kind() == io::ErrorKind::Unsupported;
         self.adjustable = !outcome.as_ref().is_err_and(unsupported);
         outcome
-    }
-
-    /// Writes an LF before the next command, in case the sensor holds part of another one.
-    pub(crate) fn interrupt(&mut self) {
-        self.interrupted = true;
-    }
-
-    /// Returns true if the sensor may hold part of a command.
-    pub(crate) fn is_interrupted(&self) -> bool {
-        self.interrupted
-    }
-
-    /// Returns true if the port can change its baud rate, as far as known from trying.
-    pub(crate) fn is_adjustable(&self) -> bool {
-        self.adjustable
-    }
-
-    /// Number of bytes received so far.
-    pub(crate) fn received(&self) -> u64 {
-        self.received
-    }
-
-    /// When the latest frame arrived.
-    pub(crate) fn latest_at(&self) -> Option<Instant> {
-        self.latest_at
     }
 
     /// Returns true if a telnet command came first, as from a server that negotiates options.

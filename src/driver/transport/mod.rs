@@ -52,14 +52,14 @@ pub(crate) struct Transport {
     /// Received bytes. Frames are judged in place: a copy of one would be a second allocation a scan.
     input: BytesMut,
     /// Number of bytes received so far.
-    received: u64,
+    pub(crate) received: u64,
     greeting: Greeting,
     /// What may arrive, and how many bytes and frames had arrived when it was expected.
     limits: &'static Limits,
     received_before: u64,
     frames: usize,
     /// When the latest frame arrived.
-    latest_at: Option<Instant>,
+    pub(crate) latest_at: Option<Instant>,
     /// Latest command, as it is written, and the number of bytes written.
     output: BytesMut,
     written: usize,
@@ -77,10 +77,10 @@ pub(crate) struct Transport {
     /// Retries calls that the port refused.
     retry_timer: Timer,
     pauses: Pauses,
-    /// True if a command may have been written only in part.
-    interrupted: bool,
-    /// True if the port can change its baud rate.
-    adjustable: bool,
+    /// True if the sensor may hold part of a command: an LF then goes before the next one.
+    pub(crate) interrupted: bool,
+    /// True if the port can change its baud rate, as far as known from trying.
+    pub(crate) adjustable: bool,
 }
 
 /// What to expect after a command, or next of frames that come unasked.

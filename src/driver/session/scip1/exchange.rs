@@ -46,7 +46,7 @@ impl Scip1 {
         command: Command,
     ) -> Result<Answer, ExchangeError> {
         match self.command(command).await {
-            Err(failure) if failure.is_lost_reply() && !self.line.is_closing() => {
+            Err(failure) if failure.is_lost_reply() && !self.line.shared.is_closing() => {
                 self.command(command).await
             }
             outcome => outcome,

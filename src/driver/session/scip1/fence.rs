@@ -18,11 +18,6 @@ use crate::codec::Frame;
 use crate::protocol::scip2::has_data;
 use crate::protocol::{Command, MalformedError, Protocol, Reply, ReplyError, Status};
 
-/// Number of unanswered fences after which a link counts as silent. Fewer if the sensor
-/// may have restarted at another baud rate.
-const FENCES: usize = 6;
-const FENCES_AT_A_BAUD_RATE: usize = 3;
-
 /// Time between two looks at output that a device does not take.
 const OUTPUT_INTERVAL: Duration = Duration::from_millis(20);
 
@@ -35,12 +30,12 @@ impl Scip1 {
     pub(in super::super) async fn fence(&mut self) -> Result<Status, ExchangeError> {
         let mut failure = LinkError::Silent(ErrorKind::disconnected(None));
         let latency = self.usual_latency();
-        for _ in 0..if self.line.is_searchable() { FENCES_AT_A_BAUD_RATE } else { FENCES } {
+        for _ in 0..self.line.tries() {
             match self.fence_once(latency).await {
                 Err(ExchangeError::Command(error)) => failure = LinkError::Silent(error),
                 outcome => return outcome,
             }
-            if self.line.is_closing() {
+            if self.line.shared.is_closing() {
                 break;
             }
         }
@@ -76,10 +71,10 @@ impl Scip1 {
             }
             Err(failure) if failure.is_lost_reply() => {
                 self.line.shared.counters.stats().fence_timeouts += 1;
-                if self.line.transport.latest_at().is_none() {
+                if self.line.transport.latest_at.is_none() {
                     // Another program may have left half a command. And only an LF tells an echo
                     // from a reply.
-                    self.line.transport.interrupt();
+                    self.line.transport.interrupted = true;
                 }
                 tracing::trace!(error = %failure.kind(), "no answer to a fence");
             }
@@ -112,7 +107,7 @@ impl Scip1 {
         let within = self.wire_time(command) + latency;
         let late = |failure| no_reply(command, failure);
         let mut expected = expected(command, &bytes);
-        if self.line.transport.latest_at().is_none() {
+        if self.line.transport.latest_at.is_none() {
             // A server may first send the scans of SCIP 2 that it received before it had a client.
             expected.limits = &FIRST_LIMITS;
         }
@@ -180,7 +175,7 @@ fn explain_silence(transport: &Transport, command: &Command) -> Option<ExchangeE
     }
     // A wrong baud rate can produce any bytes. So look for telnet only on a port without
     // a settable baud rate.
-    let telnet = !transport.is_adjustable() && transport.began_as_telnet();
+    let telnet = !transport.adjustable && transport.began_as_telnet();
     let echo = [&command.bytes(), &b"\r\n"[..]].concat();
     let translated = pending.windows(echo.len()).any(|part| part == echo);
     (telnet || translated)

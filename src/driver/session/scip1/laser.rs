@@ -20,7 +20,7 @@ impl Scip1 {
         let is_doubtful = match status {
             // A refused `G` without an answer to `L0` proves little: its status may have been another
             // one. A driver that is closing has no time to ask again.
-            None => !on && !fence.is_ok() && !self.line.is_closing(),
+            None => !on && !fence.is_ok() && !self.line.shared.is_closing(),
             // A status of success may have been another one, too.
             Some(status) => status.is_ok_for(&command) && fence.is_ok() != on,
         };

@@ -74,7 +74,7 @@ impl Scip1 {
     /// the latest reply, or `None` if it needs no fence now.
     pub(super) fn copies_end(&self, window: Window) -> Option<Instant> {
         let may_match = self.may_be_copied() && self.unique_requests.repeats(window);
-        self.line.transport.latest_at().filter(|_| may_match).map(|latest| latest + COPY_TIME)
+        self.line.transport.latest_at.filter(|_| may_match).map(|latest| latest + COPY_TIME)
     }
 
     /// Reads the version once.
@@ -132,6 +132,6 @@ impl Scip1 {
     pub(super) fn may_be_copied(&self) -> bool {
         // Last, because reading the clock costs more than the rest.
         self.line.believed_baud_rate().is_some()
-            && self.line.transport.latest_at().is_some_and(|latest| latest.elapsed() < COPY_TIME)
+            && self.line.transport.latest_at.is_some_and(|latest| latest.elapsed() < COPY_TIME)
     }
 }

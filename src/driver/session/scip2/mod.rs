@@ -19,7 +19,7 @@ use super::super::schedule::StreamWish;
 use super::super::sensor_clock::SensorClock;
 use super::super::transport::{Expected, Limits, ReplyTimes};
 use super::errors::{malformed, no_reply, not_confirmed, on_behalf_of};
-use super::line::Line;
+use super::line::{Line, TRIES_AT_A_BAUD_RATE};
 use super::{Acquired, RESTART, Told};
 use crate::codec::Frame;
 use crate::protocol::scip2::{self, Command, Content, Data, Label, Request, Scan, Stamp, Status};
@@ -31,10 +31,6 @@ use crate::{BaudRate, ErrorKind, Geometry, Window};
 /// Longest reply: `ME` of a UST-10LX-H01's 2,161 steps has 13,399 bytes. Another program may have left a
 /// stream of these, 40 a second.
 pub(super) const LIMITS: Limits = Limits { frame: 16 * 1024, frames: 256, bytes: 1024 * 1024 };
-/// Number of unanswered probes after which a link counts as silent. Fewer if the sensor may have
-/// restarted at another baud rate.
-const PROBES: usize = 6;
-const PROBES_AT_A_BAUD_RATE: usize = 3;
 /// Command that makes a URG-04LX leave SCIP 1.1. It has no label, and is answered in SCIP 1.1.
 const ENTER: &[u8] = b"SCIP2.0";
 /// Number of answers to it that are read, at most.
@@ -134,7 +130,7 @@ impl Scip2<'_> {
                     return self.stop().await;
                 }
                 Err(ExchangeError::Link(_)) => break,
-                _ if self.line.is_closing() => break,
+                _ if self.line.shared.is_closing() => break,
                 _ => answer = self.enter_once().await,
             }
         }
@@ -162,13 +158,13 @@ impl Scip2<'_> {
     /// Stops a stream that another program may have left. The laser is off then, as after power-up.
     pub(super) async fn stop(&mut self) -> Result<(), ExchangeError> {
         let mut failure = ErrorKind::disconnected(None);
-        for _ in 0..PROBES_AT_A_BAUD_RATE {
+        for _ in 0..TRIES_AT_A_BAUD_RATE {
             match self.ask(Command::LaserOff).await {
                 Ok(_) => return Ok(()),
                 Err(ExchangeError::Command(error)) => failure = error,
                 Err(lost) => return Err(lost),
             }
-            if self.line.is_closing() {
+            if self.line.shared.is_closing() {
                 break;
             }
         }
@@ -190,7 +186,7 @@ impl Scip2<'_> {
         let frame = answer.known_frame().into();
         match answer.content {
             Content::Version(version) => Ok(VersionReply { version, frame, parameters: None }),
-            _ => Err(self.no_data(Command::Version)),
+            _ => Err(no_data(Command::Version)),
         }
     }
 
@@ -206,7 +202,7 @@ impl Scip2<'_> {
         let answer = answer?;
         let frame = answer.known_frame();
         let Content::Parameters(parameters) = answer.content else {
-            return Err(self.no_data(Command::Parameters));
+            return Err(no_data(Command::Parameters));
         };
         let first = *parameters.steps.start();
         self.state.one_step = Window::new(first..=first).ok();
@@ -222,7 +218,7 @@ impl Scip2<'_> {
         self.stop_stray().await?;
         match self.ask_twice(Command::State).await?.content {
             Content::State(state) => Ok(state),
-            _ => Err(self.no_data(Command::State)),
+            _ => Err(no_data(Command::State)),
         }
     }
 
@@ -256,7 +252,7 @@ impl Scip2<'_> {
                 }
                 Err(failure) => return Err(failure),
             };
-            if tries == 0 || self.line.is_closing() {
+            if tries == 0 || self.line.shared.is_closing() {
                 return Err(failure);
             }
         }
@@ -266,9 +262,8 @@ impl Scip2<'_> {
     /// does not measure.
     pub(super) async fn probe(&mut self) -> Result<Status, ExchangeError> {
         let mut failure = LinkError::Silent(ErrorKind::disconnected(None));
-        let tries = if self.line.is_searchable() { PROBES_AT_A_BAUD_RATE } else { PROBES };
         let mut in_scip1 = 0;
-        for _ in 0..tries {
+        for _ in 0..self.line.tries() {
             match self.probe_once(self.latency(&self.one_step())).await {
                 Err(ExchangeError::Command(error)) => {
                     in_scip1 += usize::from(is_in_scip1(&error));
@@ -277,7 +272,7 @@ impl Scip2<'_> {
                 outcome => return outcome,
             }
             // One may be damaged. A URG-04LX that has restarted answers nothing else.
-            if in_scip1 == 2 || self.line.is_closing() {
+            if in_scip1 == 2 || self.line.shared.is_closing() {
                 break;
             }
         }
@@ -311,7 +306,7 @@ impl Scip2<'_> {
         let answer = accepted(self.exchange(command).await?)?;
         match answer.content {
             Content::Scan(scan) => Ok(acquired(scan, answer.times)),
-            _ => Err(self.no_data(command)),
+            _ => Err(no_data(command)),
         }
     }
 
@@ -328,7 +323,7 @@ impl Scip2<'_> {
         let mut probe = self.probe().await.map_err(on_behalf_of(command))?;
         let is_off = |probe: Status| probe.characters() == *b"10";
         // Any refusal but `10` tells nothing of the laser (p. 13), and may pass.
-        if !probe.is_ok() && !is_off(probe) && !self.line.is_closing() {
+        if !probe.is_ok() && !is_off(probe) && !self.line.shared.is_closing() {
             probe = self.probe().await.map_err(on_behalf_of(command))?;
         }
         Err(ExchangeError::Command(match probe.is_ok() {
@@ -352,16 +347,16 @@ impl Scip2<'_> {
     /// sensor accepts it.
     async fn ask_twice(&mut self, command: Command) -> Result<Answer, ExchangeError> {
         let answer = match self.exchange(command).await {
-            Err(failure) if failure.is_lost_reply() && !self.line.is_closing() => {
+            Err(failure) if failure.is_lost_reply() && !self.line.shared.is_closing() => {
                 self.exchange(command).await
             }
             outcome => outcome,
         };
         accepted(answer?)
     }
+}
 
-    /// Error for a reply without the data that its command has.
-    fn no_data(&self, command: Command) -> ExchangeError {
-        ExchangeError::Command(malformed(&command, MalformedError::NoData))
-    }
+/// Error for a reply without the data that its command has.
+fn no_data(command: Command) -> ExchangeError {
+    ExchangeError::Command(malformed(&command, MalformedError::NoData))
 }
