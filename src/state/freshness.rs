@@ -45,9 +45,9 @@ use crate::{Error, ErrorChain};
 #[derive(Debug, Clone)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct Freshness {
-    #[cfg_attr(feature = "serde", serde(rename = "age", serialize_with = "age"))]
+    #[cfg_attr(feature = "serde", serde(rename = "age", serialize_with = "super::age"))]
     last_scan: Option<Instant>,
-    #[cfg_attr(feature = "serde", serde(serialize_with = "super::chain_if_any"))]
+    #[cfg_attr(feature = "serde", serde(serialize_with = "super::chain"))]
     error: Option<Error>,
 }
 
@@ -75,11 +75,6 @@ impl Freshness {
             age => Err(StaleError { age, limit, source: self.error.clone() }),
         }
     }
-}
-
-#[cfg(feature = "serde")]
-fn age<S: serde::Serializer>(at: &Option<Instant>, serializer: S) -> Result<S::Ok, S::Error> {
-    serde::Serialize::serialize(&at.map(|at| at.elapsed().as_secs_f64()), serializer)
 }
 
 /// Error of [`Freshness::check`]: the last good scan is too old.

@@ -20,7 +20,7 @@ pub(crate) use self::shared::Shared;
 #[doc(no_inline)]
 pub use self::state::State;
 #[cfg(feature = "serde")]
-use self::state::chain_if_any;
+use self::state::{age, chain};
 pub use self::watch::StateWatch;
 
 #[inline(never)]

@@ -27,7 +27,7 @@ pub enum State {
     Connecting {
         /// Why this has failed so far, if you let the driver [wait for the
         /// sensor](crate::SensorBuilder::wait_for_sensor).
-        #[cfg_attr(feature = "serde", serde(serialize_with = "chain_if_any"))]
+        #[cfg_attr(feature = "serde", serde(serialize_with = "chain"))]
         error: Option<Error>,
     },
     /// The sensor answers.
@@ -47,7 +47,7 @@ pub enum State {
     /// The link is lost; the driver reconnects.
     Disconnected {
         /// When the link was lost, on tokio's clock.
-        #[cfg_attr(feature = "serde", serde(serialize_with = "elapsed"))]
+        #[cfg_attr(feature = "serde", serde(serialize_with = "age"))]
         since: Instant,
         /// Latest reason.
         #[cfg_attr(feature = "serde", serde(serialize_with = "chain"))]
@@ -56,7 +56,7 @@ pub enum State {
     /// The driver has ended permanently.
     Closed {
         /// Cause, or `None` if you closed the driver or dropped its last handle.
-        #[cfg_attr(feature = "serde", serde(serialize_with = "chain_if_any"))]
+        #[cfg_attr(feature = "serde", serde(serialize_with = "chain"))]
         error: Option<Error>,
     },
 }
@@ -71,23 +71,21 @@ impl State {
     }
 }
 
-/// Serialises an error and its causes as one text.
+/// Serialises an error and its causes as one text, if there is one.
 #[cfg(feature = "serde")]
-fn chain<S: serde::Serializer>(error: &Error, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.collect_str(&crate::ErrorChain(error))
-}
-
-#[cfg(feature = "serde")]
-pub(super) fn chain_if_any<S: serde::Serializer>(
-    error: &Option<Error>,
+pub(super) fn chain<'a, S: serde::Serializer>(
+    error: impl Into<Option<&'a Error>>,
     serializer: S,
 ) -> Result<S::Ok, S::Error> {
-    let text = error.as_ref().map(|error| crate::ErrorChain(error).to_string());
+    let text = error.into().map(|error| crate::ErrorChain(error).to_string());
     serde::Serialize::serialize(&text, serializer)
 }
 
-/// Serialises an instant as its age: instants mean nothing in another process.
+/// Serialises an instant, if there is one, as its age: instants mean nothing in another process.
 #[cfg(feature = "serde")]
-fn elapsed<S: serde::Serializer>(since: &Instant, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.serialize_f64(since.elapsed().as_secs_f64())
+pub(super) fn age<'a, S: serde::Serializer>(
+    at: impl Into<Option<&'a Instant>>,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    serde::Serialize::serialize(&at.into().map(|at| at.elapsed().as_secs_f64()), serializer)
 }
