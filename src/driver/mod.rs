@@ -84,9 +84,11 @@ impl fmt::Debug for Driver {
 #[derive(Debug, Clone)]
 pub(crate) struct Client {
     sender: mpsc::Sender<Box<Request>>,
-    shared: Arc<Shared>,
-    observers: Arc<ReplyObservers>,
-    depth: usize,
+    pub(crate) shared: Arc<Shared>,
+    /// Observers of all replies.
+    pub(crate) observers: Arc<ReplyObservers>,
+    /// Default depth of streams.
+    pub(crate) depth: usize,
 }
 
 impl Client {
@@ -125,20 +127,6 @@ impl Client {
     /// Tells the driver that a stream was dropped. If the queue is full, one of its requests does.
     pub(crate) fn report_dropped_stream(&self) {
         let _ = self.sender.try_send(Box::new(Request::StreamDropped));
-    }
-
-    /// Default depth of streams.
-    pub(crate) fn depth(&self) -> usize {
-        self.depth
-    }
-
-    pub(crate) fn shared(&self) -> &Shared {
-        &self.shared
-    }
-
-    /// Observers of all replies.
-    pub(crate) fn observers(&self) -> &Arc<ReplyObservers> {
-        &self.observers
     }
 }
 

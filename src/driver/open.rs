@@ -29,10 +29,10 @@ pub(crate) struct Opener {
     connect: Box<dyn AnyConnect>,
     config: Config,
     shared: Arc<Shared>,
-    laser: Laser,
+    pub(crate) laser: Laser,
     /// Baud rate to restore whenever the sensor may have lost it: the builder's, or the latest
     /// that the sensor has confirmed.
-    baud_rate: Option<BaudRate>,
+    pub(crate) baud_rate: Option<BaudRate>,
     /// True if the log has told that the baud rate is not restored.
     is_reported: bool,
     /// Baud rate of the sensor when it was last found.
@@ -67,11 +67,6 @@ impl Opener {
             config,
             shared,
         }
-    }
-
-    /// Returns the laser, and the baud rate to restore.
-    pub(crate) fn settings(&mut self) -> (&mut Laser, &mut Option<BaudRate>) {
-        (&mut self.laser, &mut self.baud_rate)
     }
 
     pub(crate) fn serial_number(&self) -> Text {

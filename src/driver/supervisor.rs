@@ -123,11 +123,10 @@ impl Supervisor {
         let scan_time = geometry.revolution();
         let probe_interval = self.config.idle_probe.interval(session.can_die_silently());
         let reconnects = self.shared.counters.stats().reconnects;
-        let (laser, baud_rate) = self.opener.settings();
         let mut service = Service {
             queue: &mut self.offline.queue,
-            laser,
-            baud_rate,
+            laser: &mut self.opener.laser,
+            baud_rate: &mut self.opener.baud_rate,
             schedules: &mut self.offline.schedules,
             shared: &self.shared,
             scan_time,

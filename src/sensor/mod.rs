@@ -77,7 +77,7 @@ impl Sensor {
     /// protocol text C-42-3320-A). Sends no command, so the `STAT:` line may be outdated. Waits for
     /// a link if there is none.
     pub async fn version(&self) -> Result<Version, Error> {
-        self.known(LinkState::version).await
+        self.known(LinkState::version_reply).await.map(|reply| reply.version)
     }
 
     /// Directions and distances that the sensor measures, as it told them when the driver opened the
@@ -90,7 +90,7 @@ impl Sensor {
     /// Returns what is known of the sensor while there is a link. Waits for one if there is none.
     async fn known<T>(&self, known: impl Fn(&LinkState) -> Option<T>) -> Result<T, Error> {
         loop {
-            if let Some(known) = known(&self.client.shared().link) {
+            if let Some(known) = known(&self.client.shared.link) {
                 return Ok(known);
             }
             self.client.ask(Request::Link).await?;
@@ -100,7 +100,7 @@ impl Sensor {
     /// What the sensor told about itself in SCIP 2 (`PP`) when the driver opened the link: its model,
     /// and its geometry in numbers. `None` in SCIP 1.1, and without a link.
     pub fn parameters(&self) -> Option<Parameters> {
-        Some(self.client.shared().link.version_reply()?.parameters?.parameters.clone())
+        Some(self.client.shared.link.version_reply()?.parameters?.parameters.clone())
     }
 
     /// Asks the sensor for its state in SCIP 2 (`II`): laser, motor, clock, and in its own words whether
@@ -217,7 +217,7 @@ impl Sensor {
         &self,
         observer: impl Fn(RawReply<'_>) + Send + Sync + 'static,
     ) -> ReplyObservation {
-        if let Some(version) = self.client.shared().link.version_reply() {
+        if let Some(version) = self.client.shared.link.version_reply() {
             let parameters = version.parameters.as_ref().map(|reply| &reply.frame);
             for frame in parameters.into_iter().chain([&*version.frame]) {
                 observer(RawReply {
@@ -230,23 +230,23 @@ impl Sensor {
                 });
             }
         }
-        self.client.observers().observe_until_dropped(observer)
+        self.client.observers.observe_until_dropped(observer)
     }
 
     /// When the last good scan arrived, over all streams and single scans, and why none is newer.
     pub fn freshness(&self) -> Freshness {
-        self.client.shared().freshness()
+        self.client.shared.freshness()
     }
 
     /// Counters since the driver started, across all links.
     pub fn stats(&self) -> Stats {
-        self.client.shared().counters.snapshot()
+        self.client.shared.counters.snapshot()
     }
 
     /// Watches the state of the driver and its link. Read it, wait for a
     /// [connected](StateWatch::connected) sensor, or [for any state](StateWatch::wait_for).
     pub fn watch_state(&self) -> StateWatch {
-        self.client.shared().link.watch()
+        self.client.shared.link.watch()
     }
 
     /// Closes the port and stops the driver. If there is a link, earlier requests are answered
@@ -258,7 +258,7 @@ impl Sensor {
     /// one fence: 1.5 s and their time on the wire, unless you set
     /// [`reply_latency`](SensorBuilder::reply_latency).
     pub async fn close(&self) {
-        let _closing = self.client.shared().announce_closing();
+        let _closing = self.client.shared.announce_closing();
         // Any outcome means that the driver has ended.
         let _ = self.client.ask(Request::Close).await;
     }

@@ -179,10 +179,6 @@ impl LinkState {
     }
 
     /// Identity of the sensor, if there is a link.
-    pub(crate) fn version(&self) -> Option<Version> {
-        self.version_reply().map(|reply| reply.version)
-    }
-
     pub(crate) fn version_reply(&self) -> Option<VersionReply> {
         lock(&self.identity).as_ref().map(|(reply, _)| reply.clone())
     }

@@ -39,7 +39,7 @@ pub struct StreamBuilder {
 
 impl StreamBuilder {
     pub(crate) fn new(client: Client, window: Window, rate: Rate) -> Self {
-        let depth = client.depth();
+        let depth = client.depth;
         Self { client, window, rate, depth }
     }
 

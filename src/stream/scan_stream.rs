@@ -68,7 +68,7 @@ impl ScanStream {
     pub fn freshness(&self) -> Freshness {
         let (last_scan, error) = self.cursor.freshness();
         // Errors of other streams' polls do not matter here.
-        Freshness::new(last_scan, self.client.0.shared().pause_reason().or(error))
+        Freshness::new(last_scan, self.client.0.shared.pause_reason().or(error))
     }
 
     /// Creates a stream of the same scans that starts with the next one, like
