@@ -125,7 +125,7 @@ impl Laser {
 
     fn set_off(&mut self, is_off: bool) {
         self.is_off = is_off;
-        self.shared.counters.stats().is_laser_off = is_off;
+        self.shared.counters.lock().is_laser_off = is_off;
     }
 
     /// Records that the sensor measured `window`.

@@ -194,7 +194,7 @@ impl Schedules {
         let (repeats, missed) = schedule.ring.push(scan);
         let newly_missed = missed - std::mem::replace(&mut schedule.missed, missed);
         if repeats || newly_missed > 0 || poll.skipped > 0 {
-            let mut stats = self.shared.counters.stats();
+            let stats = &mut self.shared.counters.lock().stats;
             stats.repeats += u64::from(repeats);
             stats.missed += newly_missed;
             stats.polls_skipped += poll.skipped;
@@ -210,7 +210,7 @@ impl Schedules {
         let Some(schedule) = find(&mut self.all, poll.window, poll.rate) else { return };
         schedule.report(error);
         schedule.speed.count_failure();
-        self.shared.counters.stats().polls_skipped += poll.skipped;
+        self.shared.counters.lock().stats.polls_skipped += poll.skipped;
         if schedule.end_poll(Instant::now(), again, None) {
             self.publish();
         }
@@ -250,7 +250,7 @@ impl Schedules {
             let is_read = schedule.ring.readers() > 0;
             if !is_read {
                 let newly_missed = schedule.ring.missed() - schedule.missed;
-                self.shared.counters.stats().missed += newly_missed;
+                self.shared.counters.lock().stats.missed += newly_missed;
             }
             is_read
         });

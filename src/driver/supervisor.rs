@@ -122,7 +122,7 @@ impl Supervisor {
         let geometry = self.opener.geometry();
         let scan_time = geometry.revolution();
         let probe_interval = self.config.idle_probe.interval(session.can_die_silently());
-        let reconnects = self.shared.counters.stats().reconnects;
+        let reconnects = self.shared.counters.lock().stats.reconnects;
         let mut service = Service {
             queue: &mut self.offline.queue,
             laser: &mut self.opener.laser,
@@ -146,7 +146,7 @@ impl Supervisor {
         self.offline.schedules.pause();
         self.offline.queue.lose_link();
         // What is known about the motor belongs to the session.
-        self.shared.counters.stats().motor = None;
+        self.shared.counters.lock().stats.motor = None;
         stop
     }
 
@@ -186,7 +186,7 @@ impl Supervisor {
         let found = self.offline.run(Some(&error), search).await?;
         match found {
             Ok(()) => {
-                self.shared.counters.stats().reconnects += 1;
+                self.shared.counters.lock().stats.reconnects += 1;
                 Ok(session)
             }
             Err(ended @ LinkError::Ended(_)) => Err(ended.into()),
@@ -205,7 +205,7 @@ impl Supervisor {
             ErrorKind::Disconnected { .. } => cause,
             _ => ErrorKind::disconnected(None),
         };
-        self.shared.counters.stats().disconnects += 1;
+        self.shared.counters.lock().stats.disconnects += 1;
         if !self.config.reconnect {
             return Err(LinkError::Lost(kind).into());
         }
@@ -219,7 +219,7 @@ impl Supervisor {
             let laser = self.offline.queue.desired.laser;
             let error = match self.offline.run(Some(&latest), self.opener.open(laser)).await? {
                 Ok(session) => {
-                    self.shared.counters.stats().reconnects += 1;
+                    self.shared.counters.lock().stats.reconnects += 1;
                     return Ok(session);
                 }
                 Err(ended @ LinkError::Ended(_)) => return Err(ended.into()),

@@ -1,6 +1,5 @@
 //! [`Counters`]: what the driver counts, and when it was last successful.
 
-use std::ops::{Deref, DerefMut};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, Weak};
 
@@ -8,8 +7,9 @@ use tokio::time::Instant;
 
 use super::lock;
 use crate::Error;
+use crate::protocol::ReplyError;
 use crate::ring::Ring;
-use crate::stats::{ScheduleStats, Stats};
+use crate::stats::{MotorStats, ScheduleStats, Stats};
 
 #[derive(Debug, Default)]
 pub(crate) struct Counters {
@@ -21,7 +21,7 @@ pub(crate) struct Counters {
 /// [`Stats`] and what [`Freshness`](super::Freshness) needs, which change together.
 #[derive(Debug, Default)]
 pub(crate) struct Counted {
-    stats: Stats,
+    pub(crate) stats: Stats,
     pub(super) last_scan: Option<Instant>,
     /// Latest error since the last scan.
     pub(super) error: Option<Error>,
@@ -30,7 +30,7 @@ pub(crate) struct Counted {
 }
 
 impl Counters {
-    pub(crate) fn stats(&self) -> MutexGuard<'_, Counted> {
+    pub(crate) fn lock(&self) -> MutexGuard<'_, Counted> {
         lock(&self.counted)
     }
 
@@ -51,7 +51,7 @@ impl Counters {
 
     /// Copies the counters, with the schedules that have a stream.
     pub(crate) fn snapshot(&self) -> Stats {
-        let mut stats = self.stats().stats.clone();
+        let mut stats = self.lock().stats.clone();
         stats.polls = self.polls.load(Ordering::Relaxed);
         // The streams may all be gone before the driver notices.
         let is_read = |ring: &Weak<Ring>| ring.upgrade().is_some_and(|ring| ring.readers() > 0);
@@ -63,30 +63,27 @@ impl Counters {
 
     /// Records why there is no scan.
     pub(crate) fn fail(&self, error: Error) {
-        self.stats().error = Some(error);
+        self.lock().error = Some(error);
     }
-}
 
-impl Counted {
-    /// Counts a good scan.
-    pub(crate) fn scanned(&mut self, requested_at: Instant, received_at: Instant) {
-        self.stats.scans += 1;
-        self.stats.reply_latency.add(received_at - requested_at);
-        self.last_scan = Some(received_at);
-        self.error = None;
+    /// Counts a good scan. `motor` is what is known of the motor then.
+    pub(crate) fn count_scan(
+        &self,
+        requested: Instant,
+        received: Instant,
+        motor: Option<MotorStats>,
+    ) {
+        let mut counted = self.lock();
+        counted.stats.scans += 1;
+        counted.stats.reply_latency.add(received - requested);
+        counted.stats.motor = motor;
+        (counted.last_scan, counted.error) = (Some(received), None);
     }
-}
 
-impl Deref for Counted {
-    type Target = Stats;
-
-    fn deref(&self) -> &Stats {
-        &self.stats
-    }
-}
-
-impl DerefMut for Counted {
-    fn deref_mut(&mut self) -> &mut Stats {
-        &mut self.stats
+    /// Counts a malformed reply, and bytes that belong to no reply.
+    pub(crate) fn count_malformed(&self, error: &ReplyError, skipped: u64) {
+        let mut counted = self.lock();
+        counted.stats.malformed.count(error);
+        counted.stats.bytes_skipped += skipped;
     }
 }

@@ -44,13 +44,13 @@ impl Shared {
     /// Freshness of all scans.
     pub(crate) fn freshness(&self) -> Freshness {
         let reason = self.pause_reason();
-        let counted = self.counters.stats();
+        let counted = self.counters.lock();
         Freshness::new(counted.last_scan, reason.or_else(|| counted.error.clone()))
     }
 
     /// Why nothing is polled now, if so.
     pub(crate) fn pause_reason(&self) -> Option<Error> {
-        let is_laser_off = self.counters.stats().is_laser_off;
+        let is_laser_off = self.counters.lock().is_laser_off;
         let laser_off = || is_laser_off.then(|| self.link.error(ErrorKind::LaserOff));
         self.link.trouble().or_else(laser_off)
     }

@@ -165,10 +165,7 @@ impl Service<'_> {
             (None, Some(clock)) => (clock.observe(times.requested, times.began), clock.stats()),
             (None, None) => Default::default(),
         };
-        let mut stats = self.shared.counters.stats();
-        stats.scanned(times.requested, times.received);
-        stats.motor = motor;
-        drop(stats);
+        self.shared.counters.count_scan(times.requested, times.received, motor);
         let meta = ScanMeta {
             sequence: 0,
             requested_at: times.requested,

@@ -114,7 +114,7 @@ pub(super) fn record_silence(
 ) -> ExchangeError {
     let failure = no_reply(asked, failure);
     if let ExchangeError::Command(error) = &failure {
-        shared.counters.stats().timeouts += 1;
+        shared.counters.lock().stats.timeouts += 1;
         tracing::trace!(%error, "no answer");
     }
     failure
@@ -128,10 +128,7 @@ pub(super) fn record_malformed(
     error: ReplyError,
     skipped: u64,
 ) -> ExchangeError {
-    let mut stats = shared.counters.stats();
-    stats.malformed.count(&error);
-    stats.bytes_skipped += skipped;
-    drop(stats);
+    shared.counters.count_malformed(&error, skipped);
     let error = bad_reply(asked, error);
     tracing::trace!(%error, "no answer");
     ExchangeError::Command(error)

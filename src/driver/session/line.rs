@@ -48,7 +48,7 @@ impl Line {
     /// Sets this side's baud rate. Forgets what is known of the line at the former one.
     pub(super) async fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
         self.is_baud_rate_disproved = false;
-        self.shared.counters.stats().baud_rate_disproved = false;
+        self.shared.counters.lock().stats.baud_rate_disproved = false;
         self.transport.set_baud_rate(baud_rate).await
     }
 
@@ -69,7 +69,7 @@ impl Line {
 
     fn count_dropped(&self, bytes: u64) {
         if bytes > 0 {
-            self.shared.counters.stats().bytes_skipped += bytes;
+            self.shared.counters.lock().stats.bytes_skipped += bytes;
         }
     }
 
@@ -84,7 +84,7 @@ impl Line {
     #[cold]
     fn disprove_baud_rate(&mut self) {
         self.is_baud_rate_disproved = true;
-        self.shared.counters.stats().baud_rate_disproved = true;
+        self.shared.counters.lock().stats.baud_rate_disproved = true;
         tracing::debug!("replies come faster than the baud rate can carry");
     }
 }

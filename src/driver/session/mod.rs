@@ -127,7 +127,7 @@ impl Session {
         shared: Arc<Shared>,
     ) -> Self {
         let Leftovers { unique_requests, interrupted } = before;
-        shared.counters.stats().baud_rate_disproved = false;
+        shared.counters.lock().stats.baud_rate_disproved = false;
         // Another program may have left a stream of scans, which the system has kept.
         let transport = Transport::new(port, &scip2::LIMITS, interrupted);
         let line = Line {

@@ -112,7 +112,7 @@ impl Scip1 {
 
     #[cold]
     fn record_refusal(&mut self) {
-        self.line.shared.counters.stats().refused += 1;
+        self.line.shared.counters.lock().stats.refused += 1;
     }
 
     /// Checks whether the reply to `command` came faster than the baud rate allows. The command's echo

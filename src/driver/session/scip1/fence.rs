@@ -54,7 +54,7 @@ impl Scip1 {
             tracing::trace!(%error, "the device takes no bytes");
             return Err(ExchangeError::Command(error));
         }
-        self.line.shared.counters.stats().fences += 1;
+        self.line.shared.counters.lock().stats.fences += 1;
         let mut latest_malformed = None;
         let answer = self.answer_to_fence(&command, latency, &mut latest_malformed).await;
         let answer = match answer {
@@ -70,7 +70,7 @@ impl Scip1 {
                 self.unique_requests.clear();
             }
             Err(failure) if failure.is_lost_reply() => {
-                self.line.shared.counters.stats().fence_timeouts += 1;
+                self.line.shared.counters.lock().stats.fence_timeouts += 1;
                 if self.line.transport.latest_at.is_none() {
                     // Another program may have left half a command. And only an LF tells an echo
                     // from a reply.
@@ -137,10 +137,7 @@ impl Scip1 {
                 }
                 Err(error) => error,
             };
-            let mut stats = self.line.shared.counters.stats();
-            stats.malformed.count(&error);
-            stats.bytes_skipped += received.wire_len();
-            drop(stats);
+            self.line.shared.counters.count_malformed(&error, received.wire_len());
             if let ReplyError::Malformed(source) = error {
                 *latest_malformed = Some(ExchangeError::Command(malformed(command, source)));
             }

@@ -127,7 +127,7 @@ impl Scip2<'_> {
                             self.line.check_speed(baud_rate.wire_time(bytes), &times);
                         }
                     } else {
-                        self.line.shared.counters.stats().refused += 1;
+                        self.line.shared.counters.lock().stats.refused += 1;
                     }
                     return Ok(Answer { request: *request, status, content, frame, times });
                 }
@@ -143,7 +143,7 @@ impl Scip2<'_> {
     /// Counts a frame that answers nothing of this session now.
     pub(super) fn record_stray(&mut self, wire_len: u64, like_a_stream: bool) {
         self.state.has_stray_frames |= like_a_stream;
-        self.line.shared.counters.stats().bytes_skipped += wire_len;
+        self.line.shared.counters.lock().stats.bytes_skipped += wire_len;
     }
 
     /// How long the sensor may take to begin its answer.

@@ -245,7 +245,7 @@ impl State {
             // The answer to the command, once more.
             Ok(Reply { status, .. }) if status.is_ok() => {}
             Ok(Reply { status, .. }) => {
-                shared.counters.stats().refused += 1;
+                shared.counters.lock().stats.refused += 1;
                 let error = refusal(request.command(), status);
                 if is_pause(status) {
                     self.waiting.push_back(Err(error));
@@ -284,7 +284,7 @@ impl State {
             let passed = between(stamp, scan.stamp);
             if passed < since + LONGEST_DELAY {
                 let periods = (passed + period / 2).as_nanos() / period.as_nanos().max(1);
-                shared.counters.stats().lost += (periods as u64).saturating_sub(1);
+                shared.counters.lock().stats.lost += (periods as u64).saturating_sub(1);
             }
         }
         let (window, stamp) = (running.window, scan.stamp);
