@@ -92,58 +92,38 @@ impl Scip2<'_> {
                     return Err(record_silence(&self.line.shared, &command, failure));
                 }
             };
-            let (mut times, wire_len) = (received.times, received.wire_len());
-            let mut outcome = Err(None);
-            let (mut is_streamed, mut like_a_stream) = (false, false);
-            if let Frame::Reply(bytes) = received.frame() {
-                like_a_stream = is_like_a_stream(bytes);
-                let own = find_own(request, bytes, &times, baud_rate);
-                let mut answered = own.filter(|_| !is_probe).map(|(_, times)| (*request, times));
-                if own.is_none() {
-                    answered =
-                        self.state.take_streamed(bytes, &times, baud_rate, &self.line.shared);
-                    is_streamed = answered.is_some();
+            let own = match received.frame() {
+                Frame::Reply(all) => {
+                    find_own(request, all, &received.times, baud_rate).map(|own| (all, own))
                 }
-                self.line.observers.pass(|| raw_reply(bytes, answered, times));
-                if let Some((frame, own)) = own {
-                    times = own;
-                    let parsed = Reply::parse(request, frame).map_err(Some);
-                    let is_identity = matches!(command, Command::Version | Command::Parameters);
-                    let kept = if is_identity { frame.to_vec() } else { Vec::new() };
-                    outcome = parsed.map(|reply| (reply, kept, frame.len()));
-                }
-            }
+                Frame::Overlong { .. } => None,
+            };
+            let Some((all, (bytes, times))) = own else {
+                let (observers, shared) = (&self.line.observers, &self.line.shared);
+                self.state.take_unasked(&received, baud_rate, observers, shared);
+                continue;
+            };
+            let answered = (!is_probe).then_some((*request, times));
+            self.line.observers.pass(|| raw_reply(all, answered, received.times));
+            let (reply, wire_len) = (Reply::parse(request, bytes), received.wire_len());
+            let is_identity = matches!(command, Command::Version | Command::Parameters);
+            let frame = if is_identity { bytes.to_vec() } else { Vec::new() };
+            let bytes = request.bytes().len() + 1 + bytes.len() + 2;
             drop(received);
-            match outcome {
-                Ok((Reply { status, content }, frame, length)) => {
-                    self.line.is_settled = true;
-                    if command == Command::LaserOff {
-                        // Whatever it answers: it may be unable to stop now.
-                        self.state.stopped();
-                    }
-                    if status.is_ok_for(&command) {
-                        let bytes = request.bytes().len() + 1 + length + 2;
-                        if let Some(baud_rate) = baud_rate {
-                            self.line.check_speed(baud_rate.wire_time(bytes), &times);
-                        }
-                    } else {
-                        self.line.shared.counters.lock().stats.refused += 1;
-                    }
-                    return Ok(Answer { request: *request, status, content, frame, times });
-                }
-                Err(Some(error)) => {
-                    return Err(record_malformed(&self.line.shared, &command, error, wire_len));
-                }
-                Err(None) if is_streamed => {}
-                Err(None) => self.record_stray(wire_len, like_a_stream),
+            let Reply { status, content } = reply
+                .map_err(|error| record_malformed(&self.line.shared, &command, error, wire_len))?;
+            self.line.is_settled = true;
+            if command == Command::LaserOff {
+                // Whatever it answers: it may be unable to stop now.
+                self.state.stopped();
             }
+            if !status.is_ok_for(&command) {
+                self.line.shared.counters.lock().stats.refused += 1;
+            } else if let Some(baud_rate) = baud_rate {
+                self.line.check_speed(baud_rate.wire_time(bytes), &times);
+            }
+            return Ok(Answer { request: *request, status, content, frame, times });
         }
-    }
-
-    /// Counts a frame that answers nothing of this session now.
-    pub(super) fn record_stray(&mut self, wire_len: u64, like_a_stream: bool) {
-        self.state.has_stray_frames |= like_a_stream;
-        self.line.shared.counters.lock().stats.bytes_skipped += wire_len;
     }
 
     /// How long the sensor may take to begin its answer.

@@ -12,8 +12,9 @@ use tokio::time::Instant;
 
 use super::super::super::failure::{ExchangeError, LinkError};
 use super::super::super::motor_clock::Revolution;
+use super::super::super::observers::ReplyObservers;
 use super::super::super::schedule::StreamWish;
-use super::super::super::transport::{Expected, ReplyTimes};
+use super::super::super::transport::{Expected, ReceivedFrame, ReplyTimes};
 use super::super::errors::{record_malformed, record_silence};
 use super::super::{Acquired, Streamed};
 use super::exchange::{accepted, find_own, is_like_a_stream, raw_reply, refusal};
@@ -159,17 +160,8 @@ impl Scip2<'_> {
                     return Poll::Ready(Ok(()));
                 }
             };
-            let (times, wire_len) = (received.times, received.wire_len());
-            let (mut own, mut like_a_stream) = (None, false);
-            if let Frame::Reply(bytes) = received.frame() {
-                own = self.state.take_streamed(bytes, &times, baud_rate, &self.line.shared);
-                self.line.observers.pass(|| raw_reply(bytes, own, times));
-                like_a_stream = is_like_a_stream(bytes);
-            }
+            self.state.take_unasked(&received, baud_rate, &self.line.observers, &self.line.shared);
             drop(received);
-            if own.is_none() {
-                self.record_stray(wire_len, like_a_stream);
-            }
             if self.state.waiting.len() > before {
                 self.expect_scan();
             } else {
@@ -221,8 +213,29 @@ impl State {
         (self.running, self.has_stray_frames, self.latest) = (None, false, None);
     }
 
+    /// Takes a frame that answers no request: shows it to the observers, and counts it if it does not
+    /// belong to the stream.
+    pub(super) fn take_unasked(
+        &mut self,
+        received: &ReceivedFrame<'_>,
+        baud_rate: Option<BaudRate>,
+        observers: &ReplyObservers,
+        shared: &Shared,
+    ) {
+        let times = received.times;
+        let mut own = None;
+        if let Frame::Reply(bytes) = received.frame() {
+            own = self.take_streamed(bytes, &times, baud_rate, shared);
+            observers.pass(|| raw_reply(bytes, own, times));
+            self.has_stray_frames |= own.is_none() && is_like_a_stream(bytes);
+        }
+        if own.is_none() {
+            shared.counters.lock().stats.bytes_skipped += received.wire_len();
+        }
+    }
+
     /// Lets a scan of the stream wait, and returns its request. Returns `None` if the frame is none.
-    pub(super) fn take_streamed(
+    fn take_streamed(
         &mut self,
         frame: &[u8],
         times: &ReplyTimes,
