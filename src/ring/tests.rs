@@ -14,7 +14,6 @@ use std::task::{Context, Poll, Wake, Waker};
 use proptest::prelude::*;
 
 use super::{Cursor, Ring};
-use crate::scan::Values;
 use crate::{Error, ErrorKind, Scan, Window};
 
 thread_local! {
@@ -286,19 +285,4 @@ fn a_waker_may_drop_a_reader() {
     assert_eq!((ring.readers(), wait()), (1, 2), "woken");
     drop(reader);
     assert_eq!(ring.readers(), 0);
-}
-
-#[test]
-fn a_repeat_has_all_bits_of_the_values() {
-    let ring = Ring::new();
-    let _reader = ring.subscribe(1);
-    let long = |value: u32| {
-        let like = scan();
-        Scan::new(like.window(), Values::Long([value, 7].into()), 0, like.meta)
-    };
-    let scans = [(scan(), false), (long(1000), true), (long(1000), true)];
-    let higher = [(long(1000 + 65_536), false), (long(1000 + 65_536), true), (scan(), false)];
-    for (number, (scan, repeats)) in scans.into_iter().chain(higher).enumerate() {
-        assert_eq!(ring.push(scan).0, repeats, "{number}");
-    }
 }
