@@ -32,7 +32,22 @@ impl Scan {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     pub fn builder(window: Window, values: impl Into<Vec<u32>>) -> ScanBuilder {
-        ScanBuilder::new(window, values.into())
+        let now = Instant::now();
+        let meta = ScanMeta {
+            sequence: 0,
+            requested_at: now,
+            first_byte_at: now,
+            received_at: now,
+            stamp: SystemTime::now(),
+            lateness: None,
+            postponed: Duration::ZERO,
+            repeat: false,
+            scan_time: Geometry::URG_04LX.revolution(),
+            geometry: Geometry::URG_04LX,
+            sensor_clock: None,
+            reconnects: 0,
+        };
+        ScanBuilder { window, values: values.into(), intensities: Vec::new(), meta }
     }
 }
 
@@ -50,25 +65,6 @@ pub struct ScanBuilder {
 }
 
 impl ScanBuilder {
-    fn new(window: Window, values: Vec<u32>) -> Self {
-        let now = Instant::now();
-        let meta = ScanMeta {
-            sequence: 0,
-            requested_at: now,
-            first_byte_at: now,
-            received_at: now,
-            stamp: SystemTime::now(),
-            lateness: None,
-            postponed: Duration::ZERO,
-            repeat: false,
-            scan_time: Geometry::URG_04LX.revolution(),
-            geometry: Geometry::URG_04LX,
-            sensor_clock: None,
-            reconnects: 0,
-        };
-        Self { window, values, intensities: Vec::new(), meta }
-    }
-
     /// Sets [`Scan::intensities`]: one for each point, or none.
     pub fn intensities(mut self, intensities: impl Into<Vec<u32>>) -> Self {
         self.intensities = intensities.into();

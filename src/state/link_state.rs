@@ -62,7 +62,7 @@ impl LinkState {
     }
 
     pub(crate) fn watch(&self) -> StateWatch {
-        StateWatch::new(self.state.subscribe(), self.name.clone())
+        StateWatch { receiver: self.state.subscribe(), name: self.name.clone() }
     }
 
     /// Enters a state, and logs it. Does nothing if an attempt failed for the same reason as

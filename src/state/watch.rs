@@ -39,16 +39,12 @@ use crate::{Error, ErrorKind};
 /// ```
 #[derive(Clone)]
 pub struct StateWatch {
-    receiver: watch::Receiver<State>,
+    pub(super) receiver: watch::Receiver<State>,
     /// The name of the sensor, for errors.
-    name: Option<Arc<str>>,
+    pub(super) name: Option<Arc<str>>,
 }
 
 impl StateWatch {
-    pub(super) fn new(receiver: watch::Receiver<State>, name: Option<Arc<str>>) -> Self {
-        Self { receiver, name }
-    }
-
     /// Current state.
     pub fn get(&self) -> State {
         self.receiver.borrow().clone()
