@@ -129,7 +129,9 @@ impl Service<'_> {
                     Turn::Request => match self.queue.pop()? {
                         Some(request) => {
                             self.deliver_waiting(session)?;
-                            rarely(|| self.serve_request(session, *request)).await?;
+                            rarely(|| self.answer(session, *request)).await?;
+                            // A stream may have been dropped since the last request.
+                            self.schedules.drop_unread();
                             true
                         }
                         None => false,
@@ -156,13 +158,6 @@ impl Service<'_> {
             })
             .await?;
         }
-    }
-
-    async fn serve_request(&mut self, session: &mut Session, request: Request) -> Result<(), Stop> {
-        self.answer(session, request).await?;
-        // One of the streams may have been dropped since the last request.
-        self.schedules.drop_unread();
-        Ok(())
     }
 
     /// Probes the sensor. If it measures although its laser should be off, it was reset: switches

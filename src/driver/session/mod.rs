@@ -188,7 +188,7 @@ impl Session {
 
     /// Takes the next scan of the stream, or an error in its place.
     pub(crate) fn take_streamed(&mut self) -> Option<Result<Streamed, ErrorKind>> {
-        self.scip2.as_mut()?.take_waiting()
+        self.scip2.as_mut()?.waiting.pop_front()
     }
 
     /// Ends the stream, if the sensor answers at once, because the driver ends.

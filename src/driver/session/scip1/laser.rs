@@ -9,11 +9,6 @@ use crate::protocol::{Command, Status, Text};
 impl Scip1 {
     /// Switches the laser, and checks whether the sensor measures: it refuses a `G` if and only if
     /// its laser is off.
-    ///
-    /// # Errors
-    ///
-    /// [`NotConfirmed`](crate::ErrorKind::NotConfirmed) if it stays as it is. [`Refused`](crate::ErrorKind::Refused) if
-    /// the sensor refuses both `L0` and to measure: then nothing tells whether the laser is off.
     pub(in super::super) async fn set_laser(&mut self, on: bool) -> Result<(), ExchangeError> {
         let command = if on { Command::LaserOn } else { Command::LaserOff };
         let (mut status, mut fence) = self.switch(command).await?;

@@ -55,7 +55,7 @@ pub(super) struct State {
     /// Stream that the sensor sends.
     running: Option<Running>,
     /// What the stream has sent, and the driver has not yet delivered.
-    waiting: Waiting,
+    pub(super) waiting: Waiting,
     clock: SensorClock,
     /// Sensor's clock of the stream's latest scan, and when it came.
     latest: Option<(Stamp, Instant)>,

@@ -198,10 +198,6 @@ impl State {
         self.is_streaming() || !self.waiting.is_empty()
     }
 
-    pub(in super::super) fn take_waiting(&mut self) -> Option<Result<Streamed, ErrorKind>> {
-        self.waiting.pop_front()
-    }
-
     /// Number of bytes that the sensor may send before it answers.
     pub(super) fn bytes_on_the_way(&self) -> usize {
         let scan = self.running.as_ref().and_then(|running| running.request.reply_len());
