@@ -14,7 +14,7 @@ const DONT: u8 = 0xfe;
 
 /// First bytes received on a port, one more than the longest greeting has.
 #[derive(Debug, Default)]
-pub(super) struct Greeting(Vec<u8>);
+pub(crate) struct Greeting(Vec<u8>);
 
 impl Greeting {
     /// Adds received bytes while there is room.
@@ -31,7 +31,7 @@ impl Greeting {
     }
 
     /// Returns true if a telnet command came first, as from a server that negotiates options.
-    pub(super) fn is_telnet(&self) -> bool {
+    pub(crate) fn is_telnet(&self) -> bool {
         matches!(self.0[..], [IAC, WILL..=DONT, ..])
     }
 

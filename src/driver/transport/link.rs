@@ -43,11 +43,6 @@ impl Transport {
         outcome
     }
 
-    /// Returns true if a telnet command came first, as from a server that negotiates options.
-    pub(crate) fn began_as_telnet(&self) -> bool {
-        self.greeting.is_telnet()
-    }
-
     /// Text that came before any reply, if there is one.
     pub(crate) fn words(&self) -> Option<Text> {
         self.latest_at.is_none().then(|| self.greeting.words()).flatten()

@@ -53,7 +53,7 @@ pub(crate) struct Transport {
     input: BytesMut,
     /// Number of bytes received so far.
     pub(crate) received: u64,
-    greeting: Greeting,
+    pub(crate) greeting: Greeting,
     /// What may arrive, and how many bytes and frames had arrived when it was expected.
     limits: &'static Limits,
     received_before: u64,

@@ -172,7 +172,7 @@ fn explain_silence(transport: &Transport, command: &Command) -> Option<ExchangeE
     }
     // A wrong baud rate can produce any bytes. So look for telnet only on a port without
     // a settable baud rate.
-    let telnet = !transport.adjustable && transport.began_as_telnet();
+    let telnet = !transport.adjustable && transport.greeting.is_telnet();
     let echo = [&command.bytes(), &b"\r\n"[..]].concat();
     let translated = pending.windows(echo.len()).any(|part| part == echo);
     (telnet || translated)
