@@ -17,9 +17,9 @@ const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs
 /// Laser of the sensor: what is known of it, and when to try again what the sensor refused.
 pub(crate) struct Laser {
     /// True if the sensor has confirmed that its laser is off, as asked. Nothing is polled then.
-    is_off: bool,
+    pub(crate) is_off: bool,
     /// When to switch it again, because it did not follow the last time.
-    retry_at: Option<Instant>,
+    pub(crate) retry_at: Option<Instant>,
     backoff: Backoff,
     /// True if the log has told that the laser is not as it was set.
     is_reported: bool,
@@ -47,16 +47,6 @@ impl Laser {
             refused: Vec::new(),
             shared,
         }
-    }
-
-    /// Returns true if the laser is off, as set and confirmed.
-    pub(crate) fn is_off(&self) -> bool {
-        self.is_off
-    }
-
-    /// When [`retry`](Self::retry) is due, if the laser did not follow its setting.
-    pub(crate) fn retry_at(&self) -> Option<Instant> {
-        self.retry_at
     }
 
     /// Returns true if the laser should be switched now.

@@ -88,14 +88,6 @@ pub(crate) struct DesiredSettings {
     pub(crate) attempts: u8,
 }
 
-/// Request that waits for a link.
-#[derive(Debug)]
-struct WaitingRequest {
-    request: Box<Request>,
-    /// When to fail if there is still no link.
-    expires: Instant,
-}
-
 /// Smallest number of waiting requests that is worth checking for abandoned ones.
 const PURGE_FROM: usize = 64;
 
@@ -111,9 +103,9 @@ pub(crate) struct RequestQueue {
     /// How long a request waits for a link.
     timeout: Duration,
     pub(crate) desired: DesiredSettings,
-    /// Requests that wait for a link, oldest first. The first one expires first, because all
-    /// wait equally long.
-    waiting: VecDeque<WaitingRequest>,
+    /// Requests that wait for a link, oldest first, and when each fails if there is still none. The
+    /// first one expires first, because all wait equally long.
+    waiting: VecDeque<(Box<Request>, Instant)>,
     /// When this many requests wait, the driver drops the abandoned ones. It is twice the number
     /// left last time, so each request is checked only a few times.
     purge_at: usize,
@@ -129,7 +121,7 @@ impl RequestQueue {
 
     /// Returns the next request, or `None` if the queue is empty.
     pub(crate) fn pop(&mut self) -> Result<Option<Box<Request>>, Abandoned> {
-        while let Some(WaitingRequest { request, .. }) = self.waiting.pop_front() {
+        while let Some((request, _)) = self.waiting.pop_front() {
             if !request.is_abandoned() {
                 return Ok(Some(request));
             }
@@ -154,15 +146,14 @@ impl RequestQueue {
     #[cold]
     #[inline(never)]
     pub(crate) fn begins_with_laser(&self) -> bool {
-        let mut waiting = self.waiting.iter().map(|waiting| &waiting.request);
-        let next = waiting.find(|request| !request.is_abandoned());
-        next.is_some_and(|request| matches!(**request, Request::Laser { .. }))
+        let next = self.waiting.iter().find(|(request, _)| !request.is_abandoned());
+        next.is_some_and(|(request, _)| matches!(**request, Request::Laser { .. }))
     }
 
     /// Lets the requests that still wait begin to wait anew, because the link is lost.
     pub(crate) fn lose_link(&mut self) {
-        let expires = Instant::now() + self.timeout;
-        self.waiting.iter_mut().for_each(|waiting| waiting.expires = expires);
+        let anew = Instant::now() + self.timeout;
+        self.waiting.iter_mut().for_each(|(_, expires)| *expires = anew);
     }
 
     /// Waits until [`pop`](Self::pop), which has returned `None`, has a request.
@@ -180,7 +171,7 @@ impl RequestQueue {
                 return Ok(*request);
             }
             self.expire(link);
-            let first = self.waiting.front().map(|waiting| waiting.expires);
+            let first = self.waiting.front().map(|(_, expires)| *expires);
             tokio::select! {
                 biased;
                 request = self.receiver.recv() => self.next = Some(request.ok_or(Abandoned)?),
@@ -192,18 +183,18 @@ impl RequestQueue {
     /// Queues a request until there is a link.
     pub(crate) fn wait(&mut self, request: Request) {
         let expires = Instant::now() + self.timeout;
-        self.waiting.push_back(WaitingRequest { request: Box::new(request), expires });
+        self.waiting.push_back((Box::new(request), expires));
         if self.waiting.len() >= self.purge_at {
-            self.waiting.retain(|waiting| !waiting.request.is_abandoned());
+            self.waiting.retain(|(request, _)| !request.is_abandoned());
             self.purge_at = PURGE_FROM.max(2 * self.waiting.len());
         }
     }
 
     fn expire(&mut self, link: &LinkState) {
         let now = Instant::now();
-        while self.waiting.front().is_some_and(|waiting| waiting.expires <= now) {
-            if let Some(waiting) = self.waiting.pop_front() {
-                waiting.request.fail(link.reason());
+        while self.waiting.front().is_some_and(|(_, expires)| *expires <= now) {
+            if let Some((request, _)) = self.waiting.pop_front() {
+                request.fail(link.reason());
             }
         }
     }

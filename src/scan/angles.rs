@@ -28,7 +28,6 @@ impl Scan {
         self.point_angle() as f32
     }
 
-    /// Angle from one point to the next in radians.
     fn point_angle(&self) -> f64 {
         f64::from(self.window.cluster_count()) * self.meta.geometry.step_angle()
     }

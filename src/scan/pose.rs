@@ -50,7 +50,10 @@ impl Pose {
         scan: &'a Scan,
     ) -> impl Iterator<Item = Point> + Clone + use<'a> {
         let transform = self.transformer();
-        scan.points().map(move |point| moved(point, transform))
+        scan.points().map(move |point| {
+            let (x, y) = transform(point.x.into(), point.y.into());
+            Point { x: x as f32, y: y as f32, ..point }
+        })
     }
 
     /// Returns the pose that maps back: the pose of the other frame in this one.
@@ -83,11 +86,6 @@ impl Mul for Pose {
         let heading = wrapped(self.heading + self.turned(inner.heading));
         Self { x, y, heading, upside_down: self.upside_down != inner.upside_down }
     }
-}
-
-fn moved(point: Point, transform: impl Fn(f64, f64) -> (f64, f64)) -> Point {
-    let (x, y) = transform(point.x.into(), point.y.into());
-    Point { x: x as f32, y: y as f32, ..point }
 }
 
 /// Wraps an angle into -pi..=pi.

@@ -114,12 +114,12 @@ impl Service<'_> {
                 ignore_command_errors(outcome)?;
             }
             let has_setting = self.has_setting();
-            if has_setting && self.laser.retry_at().is_none() {
+            if has_setting && self.laser.retry_at.is_none() {
                 // A setting that is younger than the session comes before all polls.
                 rarely(|| self.apply_laser(session)).await?;
             }
             self.check_stream(session);
-            let polling = !self.schedules.is_empty() && !self.laser.is_off();
+            let polling = !self.schedules.is_empty() && !self.laser.is_off;
             self.publish_streaming(polling);
             let due = self.schedules.next_due().filter(|_| polling);
             let poll_is_due = due.is_some_and(|due| due <= now);
@@ -146,7 +146,7 @@ impl Service<'_> {
                     continue 'turns;
                 }
             }
-            let wake = [due, probe, self.laser.retry_at()].into_iter().flatten().min();
+            let wake = [due, probe, self.laser.retry_at].into_iter().flatten().min();
             poll_fn(|cx| {
                 if let Poll::Ready(outcome) = session.poll_unasked(cx) {
                     return Poll::Ready(outcome.map_err(Stop::from));
@@ -163,7 +163,7 @@ impl Service<'_> {
     /// Probes the sensor. If it measures although its laser should be off, it was reset: switches
     /// the laser off again.
     async fn probe(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
-        if session.probe().await? && self.laser.is_off() {
+        if session.probe().await? && self.laser.is_off {
             self.switch_laser(session, false, true).await?;
         }
         Ok(())

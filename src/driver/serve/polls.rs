@@ -18,7 +18,7 @@ impl Service<'_> {
         session: &mut Session,
         window: Window,
     ) -> Result<Scan, ExchangeError> {
-        if self.laser.is_off() {
+        if self.laser.is_off {
             return Err(ExchangeError::Command(ErrorKind::LaserOff));
         }
         let Ok(window) = window.resolve(&self.geometry) else {

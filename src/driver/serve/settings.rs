@@ -59,12 +59,12 @@ impl Service<'_> {
         on: bool,
         is_retry: bool,
     ) -> Result<(), ExchangeError> {
-        let was_off = self.laser.is_off();
+        let was_off = self.laser.is_off;
         let outcome = match is_retry {
             true => self.laser.retry(session, on).await,
             false => self.laser.switch(session, on).await,
         };
-        match self.laser.is_off() {
+        match self.laser.is_off {
             is_off if is_off == was_off => {}
             true => self.schedules.pause(),
             false => self.schedules.resume(Instant::now()),
@@ -83,7 +83,7 @@ impl Service<'_> {
         let mut outcome = session.set_baud_rate(baud_rate).await;
         if outcome.is_ok() {
             *self.baud_rate = Some(baud_rate);
-            if self.laser.is_off() {
+            if self.laser.is_off {
                 // The sensor may have restarted unnoticed.
                 outcome = self.switch_laser(session, false, true).await;
             }
