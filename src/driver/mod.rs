@@ -157,21 +157,12 @@ mod tests {
     use tokio::time::timeout;
 
     use super::*;
-    use crate::port::{Connect, Port};
-
-    struct NoSensor;
-
-    impl Connect for NoSensor {
-        type Port = Box<dyn Port>;
-
-        async fn connect(&mut self) -> Result<Self::Port, Error> {
-            std::future::pending().await
-        }
-    }
+    use crate::port::Port;
 
     #[tokio::test(start_paused = true)]
     async fn a_request_that_is_sent_while_the_queue_is_dropped_ends() {
-        let (client, driver) = new(Box::new(NoSensor), Config::default());
+        let no_sensor = std::future::pending::<Result<Box<dyn Port>, Error>>;
+        let (client, driver) = new(Box::new(no_sensor), Config::default());
         let place = client.sender.clone().reserve_owned().await.unwrap();
         drop(driver);
         let (responder, answer) = oneshot::channel();

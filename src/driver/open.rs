@@ -40,7 +40,7 @@ pub(crate) struct Opener {
     /// Expected sensor: the one asked for, or the first one found.
     identity: Option<Text>,
     /// Serial number of the sensor that was last found.
-    serial_number: Option<Text>,
+    pub(crate) serial_number: Option<Text>,
     leftovers: Leftovers,
     /// What the sensor measures, once that is confirmed.
     geometry: Option<Geometry>,
@@ -67,10 +67,6 @@ impl Opener {
             config,
             shared,
         }
-    }
-
-    pub(crate) fn serial_number(&self) -> Text {
-        self.serial_number.clone().unwrap_or_default()
     }
 
     pub(crate) fn geometry(&self) -> Geometry {
@@ -128,11 +124,8 @@ impl Opener {
         laser: Option<bool>,
     ) -> Result<Session, LinkError> {
         let leftovers = std::mem::replace(&mut self.leftovers, Leftovers::unknown());
-        let reply_latency = self.config.reply_latency;
-        let observers = Arc::clone(&self.config.observers);
         let shared = Arc::clone(&self.shared);
-        let wanted = self.config.wanted;
-        let mut session = Session::new(port, reply_latency, wanted, leftovers, observers, shared);
+        let mut session = Session::new(port, &self.config, leftovers, shared);
         match self.find(&mut session, laser, self.config.open_timeout).await {
             Ok(()) => Ok(session),
             Err(failure) => {

@@ -117,7 +117,7 @@ impl Supervisor {
 
     async fn serve(&mut self, session: &mut Session) -> Stop {
         let baud_rate = session.baud_rate();
-        let serial_number = self.opener.serial_number();
+        let serial_number = self.opener.serial_number.clone().unwrap_or_default();
         self.shared.enter(State::Connected { baud_rate, streaming: false, serial_number });
         let geometry = self.opener.geometry();
         let scan_time = geometry.revolution();

@@ -34,10 +34,9 @@ use self::errors::{not_confirmed, on_behalf_of};
 use self::line::Line;
 use self::scip1::{Answer, EchoKind, Scip1, UniqueRequests, Widened, accepted};
 use self::scip2::Scip2;
-use super::config::Wanted;
+use super::config::{Config, Wanted};
 use super::failure::{ExchangeError, LinkError};
 use super::motor_clock::Revolution;
-use super::observers::ReplyObservers;
 use super::rarely::rarely;
 use super::transport::{ReplyTimes, Transport};
 use crate::port::Port;
@@ -120,10 +119,8 @@ pub(crate) struct Session {
 impl Session {
     pub(crate) fn new(
         port: Box<dyn Port>,
-        reply_latency: Option<Duration>,
-        wanted: Wanted,
+        config: &Config,
         before: Leftovers,
-        observers: Arc<ReplyObservers>,
         shared: Arc<Shared>,
     ) -> Self {
         let Leftovers { unique_requests, interrupted } = before;
@@ -135,11 +132,12 @@ impl Session {
             // The last user of the port may have left bytes behind.
             is_settled: false,
             is_baud_rate_disproved: false,
-            reply_latency,
-            observers,
+            reply_latency: config.reply_latency,
+            observers: Arc::clone(&config.observers),
             shared,
         };
-        Self { wanted, scip1: Scip1 { line, unique_requests }, scip2: None, restarts: false }
+        let scip1 = Scip1 { line, unique_requests };
+        Self { wanted: config.wanted, scip1, scip2: None, restarts: false }
     }
 
     /// Closes the port.

@@ -86,12 +86,9 @@ impl Scip2<'_> {
         let sent = self.line.transport.send(request.bytes(), &expected, within).await;
         sent.map_err(|failure| record_silence(&self.line.shared, &command, failure))?;
         loop {
-            let received = match self.line.transport.next_frame().await {
-                Ok(received) => received,
-                Err(failure) => {
-                    return Err(record_silence(&self.line.shared, &command, failure));
-                }
-            };
+            let received = self.line.transport.next_frame().await;
+            let received =
+                received.map_err(|failure| record_silence(&self.line.shared, &command, failure))?;
             let own = match received.frame() {
                 Frame::Reply(all) => {
                     find_own(request, all, &received.times, baud_rate).map(|own| (all, own))
