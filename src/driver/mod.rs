@@ -15,7 +15,6 @@ mod observers;
 mod open;
 mod rarely;
 mod rate_meter;
-mod raw_reply;
 mod ray_order;
 mod request;
 mod schedule;
@@ -35,9 +34,8 @@ use tokio::sync::{mpsc, oneshot};
 use tracing::Instrument;
 
 pub(crate) use self::config::{Config, IdleProbe};
-pub use self::observers::ReplyObservation;
 use self::observers::ReplyObservers;
-pub use self::raw_reply::RawReply;
+pub use self::observers::{RawReply, ReplyObservation};
 use self::request::RequestQueue;
 pub(crate) use self::request::{Request, Responder};
 use self::supervisor::Supervisor;
