@@ -1,5 +1,7 @@
 //! Polls: takes the one that is due, and makes a scan of its reply.
 
+use std::future::poll_fn;
+use std::task::Poll;
 use std::time::Duration;
 
 use tokio::time::Instant;
@@ -46,10 +48,18 @@ impl Service<'_> {
         session: &mut Session,
         now: Instant,
     ) -> Result<bool, Stop> {
-        if session.streams().is_some()
-            && let Some(is_served) = rarely(|| self.serve_stream(session)).await?
-        {
-            return Ok(is_served);
+        if session.streams().is_some() {
+            // Without a box: after each scan nothing more has come.
+            let has_come = session.is_streaming()
+                && match poll_fn(|cx| Poll::Ready(session.poll_streamed(cx))).await {
+                    Poll::Ready(outcome) => outcome.map(|()| true)?,
+                    Poll::Pending if !self.schedules.is_due() => return Ok(false),
+                    Poll::Pending => false,
+                };
+            let outcome = rarely(|| self.serve_stream(session, has_come)).await?;
+            if let Some(is_served) = outcome {
+                return Ok(is_served);
+            }
         }
         let Some(poll) = self.schedules.take_due(now) else { return Ok(true) };
         let window = poll.window;

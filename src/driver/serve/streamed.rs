@@ -1,7 +1,5 @@
 //! Scans that the sensor sends unasked: starts them, and delivers each to the schedules that are due.
 
-use std::future::poll_fn;
-use std::task::Poll;
 use std::time::Duration;
 
 use tokio::task::coop::consume_budget;
@@ -15,14 +13,16 @@ use super::{Service, Stop, command_error, ignore_command_errors};
 use crate::ErrorKind;
 
 impl Service<'_> {
-    /// Delivers a scan of the stream, or starts one for the schedules that are not too slow for it, if
-    /// the line is not. Returns true if it has done so, false if there is nothing to do now, and
+    /// Delivers what has come of the stream, or starts one for the schedules that are not too slow for
+    /// it, if the line is not. Returns true if it has done so, false if there is nothing to do now, and
     /// `None` if a schedule is to be polled.
     pub(super) async fn serve_stream(
         &mut self,
         session: &mut Session,
+        has_come: bool,
     ) -> Result<Option<bool>, Stop> {
-        if session.is_streaming() && self.deliver_streamed(session).await? {
+        if has_come {
+            self.deliver_streamed(session).await?;
             return Ok(Some(true));
         }
         if !self.schedules.is_due() {
@@ -79,20 +79,16 @@ impl Service<'_> {
         }
     }
 
-    /// Delivers what has come of the stream: scans and errors. Returns false if there is nothing now.
-    /// Ends the stream if no schedule needs it, and restarts it if they need more scans, or fewer.
-    pub(super) async fn deliver_streamed(&mut self, session: &mut Session) -> Result<bool, Stop> {
+    /// Delivers what has come of the stream: scans and errors. Ends the stream if no schedule needs it,
+    /// and restarts it if they need more scans, or fewer.
+    async fn deliver_streamed(&mut self, session: &mut Session) -> Result<(), Stop> {
         // A sensor that sends without a pause must not keep other tasks from running.
         consume_budget().await;
-        match poll_fn(|cx| Poll::Ready(session.poll_streamed(cx))).await {
-            Poll::Ready(outcome) => outcome?,
-            Poll::Pending => return Ok(false),
-        }
         self.deliver_waiting(session)?;
         self.schedules.drop_unread();
         // Both would switch the laser on. The command that switches it off ends the stream.
         let may_change = session.is_streaming() && self.queue.desired.laser != Some(false);
-        let Some(mut streams) = session.streams().filter(|_| may_change) else { return Ok(true) };
+        let Some(mut streams) = session.streams().filter(|_| may_change) else { return Ok(()) };
         let wish = self.schedules.stream(self.scan_time);
         // The motor may turn so fast that its scans fill the line.
         let outcome = match wish.filter(|wish| streams.can_stream(*wish)) {
@@ -103,8 +99,7 @@ impl Service<'_> {
             }
             Some(_) => Ok(()),
         };
-        ignore_command_errors(outcome)?;
-        Ok(true)
+        ignore_command_errors(outcome)
     }
 
     /// Delivers what is waiting, so that no newer scan is delivered before it.
