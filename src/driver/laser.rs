@@ -58,7 +58,6 @@ impl Laser {
         }
     }
 
-    /// Switches the laser.
     pub(crate) async fn switch(
         &mut self,
         session: &mut Session,

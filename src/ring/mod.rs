@@ -83,7 +83,6 @@ impl Ring {
         self.change(|inner| inner.end(cause));
     }
 
-    /// Number of readers.
     pub(crate) fn readers(&self) -> usize {
         self.lock().readers.iter().filter(|reader| reader.depth > 0).count()
     }

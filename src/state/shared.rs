@@ -41,7 +41,6 @@ impl Shared {
         }
     }
 
-    /// Freshness of all scans.
     pub(crate) fn freshness(&self) -> Freshness {
         let reason = self.pause_reason();
         let counted = self.counters.lock();

@@ -198,7 +198,6 @@ impl Session {
         }
     }
 
-    /// When the sensor was last heard.
     pub(crate) fn heard_at(&self) -> Option<Instant> {
         self.scip1.line.transport.latest_at
     }

@@ -180,7 +180,6 @@ impl Scip2<'_> {
         }
     }
 
-    /// Reads the version once.
     pub(super) async fn version(&mut self) -> Result<VersionReply, ExchangeError> {
         let answer = self.ask_twice(Command::Version).await?;
         let frame = answer.known_frame().into();
