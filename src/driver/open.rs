@@ -145,7 +145,6 @@ impl Opener {
         session: &mut Session,
         laser: Option<bool>,
     ) -> Result<(), LinkError> {
-        session.await_restart().await;
         // Then the port is reopened. Without baud rates to search, half the time: it was probed for
         // twice as long before.
         let share = if session.is_searchable() { 1 } else { 2 };

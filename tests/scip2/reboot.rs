@@ -60,9 +60,10 @@ async fn a_sensor_that_boots_for_long_is_found_again() {
             let sensor = opening.await.unwrap();
             let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
             while stream.next().await.unwrap().is_err() {}
+            let asked = Instant::now();
             sensor.reboot().await.unwrap();
             // It answers for another second.
-            let booted = Instant::now() + Duration::from_secs(1) + boot;
+            let booted = asked + Duration::from_secs(1) + boot;
             while stream.next().await.unwrap().is_err() || Instant::now() < booted {}
             let late = booted.elapsed();
             assert!(late < Duration::from_secs(2), "{model:?} after {boot:?}: {late:?}");

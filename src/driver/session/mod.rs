@@ -23,12 +23,11 @@ mod line;
 mod scip1;
 mod scip2;
 
-use std::future::poll_fn;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Duration;
 
-use tokio::time::{Instant, timeout};
+use tokio::time::Instant;
 
 use self::errors::{not_confirmed, on_behalf_of};
 use self::line::Line;
@@ -46,9 +45,6 @@ use crate::scan::Values;
 use crate::state::{Shared, VersionReply};
 use crate::stats::MotorStats;
 use crate::{BaudRate, ErrorKind, Geometry, Window};
-
-/// How long to wait until a sensor restarts: urg_stamped's urg_sim answers for another second.
-const RESTART: Duration = Duration::from_millis(1500);
 
 /// Values of a window.
 #[derive(Debug)]
@@ -112,8 +108,6 @@ pub(crate) struct Session {
     scip1: Scip1,
     /// `Some` while the sensor speaks SCIP 2.
     scip2: Option<Box<scip2::State>>,
-    /// True once the sensor has been told to restart.
-    restarts: bool,
 }
 
 impl Session {
@@ -137,7 +131,7 @@ impl Session {
             shared,
         };
         let scip1 = Scip1 { line, unique_requests };
-        Self { wanted: config.wanted, scip1, scip2: None, restarts: false }
+        Self { wanted: config.wanted, scip1, scip2: None }
     }
 
     /// Closes the port.
@@ -279,23 +273,11 @@ impl Session {
         }
     }
 
-    /// Restarts the sensor, which answers as before [for a moment](Self::await_restart).
+    /// Restarts the sensor. Returns once it must be silent, or the port has ended.
     pub(crate) async fn reboot(&mut self) -> Result<(), ExchangeError> {
-        let outcome = match self.scip2() {
+        match self.scip2() {
             Some(mut scip2) => scip2.reboot().await,
             None => Err(ExchangeError::Command(ErrorKind::UnsupportedReboot)),
-        };
-        self.restarts = outcome.is_ok();
-        outcome
-    }
-
-    /// If the sensor was told to restart, waits until it must be silent, or the port has ended: the system
-    /// reuses the name of a USB port only if that is closed before the sensor is back.
-    pub(crate) async fn await_restart(&mut self) {
-        if std::mem::take(&mut self.restarts) {
-            let port = &mut self.scip1.line.transport;
-            let ended = async { while poll_fn(|cx| port.poll_idle(cx)).await.is_ok() {} };
-            let _ = timeout(RESTART, ended).await;
         }
     }
 

@@ -9,7 +9,7 @@ mod stream;
 
 use std::time::Duration;
 
-use tokio::time::{Instant, sleep};
+use tokio::time::Instant;
 
 use self::exchange::{Answer, accepted, refusal, text};
 use self::stream::{Running, Waiting};
@@ -20,7 +20,7 @@ use super::super::sensor_clock::SensorClock;
 use super::super::transport::{Expected, Limits, ReplyTimes};
 use super::errors::{malformed, no_reply, not_confirmed, on_behalf_of};
 use super::line::{Line, TRIES_AT_A_BAUD_RATE};
-use super::{Acquired, RESTART, Told};
+use super::{Acquired, Told};
 use crate::codec::Frame;
 use crate::protocol::scip2::{self, Command, Content, Data, Label, Request, Scan, Stamp, Status};
 use crate::protocol::{MalformedError, Protocol, Text};
@@ -31,6 +31,8 @@ use crate::{BaudRate, ErrorKind, Geometry, Window};
 /// Longest reply: `ME` of a UST-10LX-H01's 2,161 steps has 13,399 bytes. Another program may have left a
 /// stream of these, 40 a second.
 pub(super) const LIMITS: Limits = Limits { frame: 16 * 1024, frames: 256, bytes: 1024 * 1024 };
+/// How long to wait until a sensor restarts: urg_stamped's urg_sim answers for another second.
+const RESTART: Duration = Duration::from_millis(1500);
 /// Command that makes a URG-04LX leave SCIP 1.1. It has no label, and is answered in SCIP 1.1.
 const ENTER: &[u8] = b"SCIP2.0";
 /// Number of answers to it that are read, at most.
@@ -231,6 +233,7 @@ impl Scip2<'_> {
                 Ok(answer) => {
                     let status = accepted(answer)?.status;
                     if status.is_ok() {
+                        self.await_restart().await;
                         return Ok(());
                     }
                     was_alive = true;
@@ -240,7 +243,7 @@ impl Scip2<'_> {
                 Err(failure) if failure.is_lost_reply() => {
                     if tries == 0 {
                         // Until it restarts, it answers.
-                        sleep(RESTART).await;
+                        self.await_restart().await;
                     }
                     let probe = self.probe_once(self.latency(&Command::Reboot)).await;
                     if was_alive && probe.is_err() {
@@ -255,6 +258,13 @@ impl Scip2<'_> {
                 return Err(failure);
             }
         }
+    }
+
+    /// Waits until a sensor that restarts must be silent, or the port has ended: the system reuses the name
+    /// of a USB port only if that is closed before the sensor is back.
+    async fn await_restart(&mut self) {
+        self.line.transport.expect_unasked(&Expected { reply: None, limits: &LIMITS }, RESTART);
+        while self.line.transport.next_frame().await.is_ok() {}
     }
 
     /// Asks for one step until there is an answer, and returns its status: a refusal while the sensor
