@@ -163,6 +163,11 @@ async fn two_reboots_within_a_second_restart() {
         sleep(Duration::from_millis(1001)).await;
         assert_eq!(ask(&mut link, "RB").await, "RB\n01Q\n\n");
         assert_eq!(ask(&mut link, "RB").await, "RB\n00P\n\n");
+        // For another second it answers as before.
+        sleep(Duration::from_millis(990)).await;
+        assert_eq!(ask(&mut link, "QT").await, "QT\n00P\n\n");
+        assert_eq!(emulator.counts().resets, 0, "{model:?}");
+        sleep(Duration::from_millis(15)).await;
         assert_eq!(emulator.counts().resets, 1, "{model:?}");
         // On Ethernet the connection is lost.
         let is_hung_up = ends(&mut link).await;
