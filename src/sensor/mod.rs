@@ -163,10 +163,12 @@ impl Sensor {
     }
 
     /// Restarts the sensor (`RB`, in SCIP 2), as switching its power off and on does. This ends an abnormal
-    /// state, in which it refuses to measure with status `0L`. Returns within two seconds, when the sensor has
-    /// accepted it and restarts. The link is lost while it starts, which takes some seconds. The driver finds
-    /// it again, and restores the laser and the baud rate. [Wait](StateWatch::connected) until it has: other requests
-    /// fail after the [request timeout](SensorBuilder::request_timeout). Two calls restart it twice.
+    /// state, in which it refuses to measure with status `0L`.
+    ///
+    /// Returns at most 1.5 s after the sensor has accepted the command, once it is silent. The link is lost
+    /// while it starts, which takes some seconds. The driver finds it again, and restores the laser and the
+    /// baud rate. [Wait](StateWatch::connected) until it has: other requests fail after the [request
+    /// timeout](SensorBuilder::request_timeout). Two calls restart it twice.
     ///
     /// # Errors
     ///

@@ -68,15 +68,15 @@ impl Interrupt {
         }
     }
 
-    /// Does the same, but fails with a message.
+    /// Does the same, but says that the work is not done.
     pub(crate) async fn or_fail(
         &self,
         work: impl Future<Output = Result<(), Failure>>,
     ) -> Result<(), Failure> {
-        tokio::select! {
-            done = work => done,
-            _ = self.requested() => Err(Failure::Failed("interrupted before it was done".into())),
-        }
+        self.unless(work).await.map_err(|failure| match failure {
+            Failure::Interrupted => Failure::Failed("interrupted before it was done".into()),
+            failure => failure,
+        })
     }
 }
 
