@@ -403,6 +403,23 @@ async fn d16_a_stream_that_goes_on_is_ended_again() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_sensor_that_refuses_to_stop_is_told_again() {
+    let emulator = numbered(Model::Urg04lx).firmware(Firmware::V31);
+    let emulator = emulator.baud_rate(BaudRate::B57600).build();
+    let asking = builder().protocol(Protocol::Scip2).baud_rate(BaudRate::B57600);
+    let sensor = asking.connect(emulator.clone()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+    next(&mut stream).await;
+    let (stops, overlapping) = (commands(&emulator, b"QT"), emulator.counts().overlapping);
+    emulator.set_faults(Faults::none().once("QT", Fault::Status(b'E')));
+    drop(stream);
+    sensor.set_baud_rate(BaudRate::B19200).await.unwrap();
+    sensor.scan(Window::DETECTION).await.unwrap();
+    assert_eq!(commands(&emulator, b"QT"), stops + 2);
+    assert_eq!(emulator.counts().overlapping, overlapping);
+}
+
+#[tokio::test(start_paused = true)]
 async fn scans_that_a_server_had_kept_are_no_flood() {
     let emulator = numbered(Model::Utm30lx).build();
     let (near, mut far) = duplex(256 * 1024);

@@ -157,20 +157,22 @@ impl Scip2<'_> {
         }
     }
 
-    /// Stops a stream that another program may have left. The laser is off then, as after power-up.
+    /// Stops a stream that another program may have left. The laser is off then, as after power-up,
+    /// unless the sensor refuses to stop now.
     pub(super) async fn stop(&mut self) -> Result<(), ExchangeError> {
-        let mut failure = ErrorKind::disconnected(None);
+        let mut outcome = Ok(());
         for _ in 0..TRIES_AT_A_BAUD_RATE {
-            match self.ask(Command::LaserOff).await {
-                Ok(_) => return Ok(()),
-                Err(ExchangeError::Command(error)) => failure = error,
+            outcome = match self.ask(Command::LaserOff).await {
+                Ok(answer) if answer.status.is_ok() => return Ok(()),
+                Ok(_) => Ok(()),
+                Err(ExchangeError::Command(error)) => Err(LinkError::Silent(error).into()),
                 Err(lost) => return Err(lost),
-            }
+            };
             if self.line.shared.is_closing() {
                 break;
             }
         }
-        Err(LinkError::Silent(failure).into())
+        outcome
     }
 
     /// Stops a stream that the sensor may send unknown to this session. The laser stays as it was set.
