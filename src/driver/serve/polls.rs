@@ -50,15 +50,19 @@ impl Service<'_> {
     ) -> Result<bool, Stop> {
         if session.streams().is_some() {
             // Without a box: after each scan nothing more has come.
-            let has_come = session.is_streaming()
-                && match poll_fn(|cx| Poll::Ready(session.poll_streamed(cx))).await {
-                    Poll::Ready(outcome) => outcome.map(|()| true)?,
-                    Poll::Pending if !self.schedules.is_due() => return Ok(false),
-                    Poll::Pending => false,
-                };
-            let outcome = rarely(|| self.serve_stream(session, has_come)).await?;
-            if let Some(is_served) = outcome {
-                return Ok(is_served);
+            if session.is_streaming()
+                && let Poll::Ready(outcome) =
+                    poll_fn(|cx| Poll::Ready(session.poll_streamed(cx))).await
+            {
+                outcome?;
+                rarely(|| self.deliver_streamed(session)).await?;
+                return Ok(true);
+            }
+            if !self.schedules.is_due() {
+                return Ok(false);
+            }
+            if rarely(|| self.start_stream(session)).await? {
+                return Ok(true);
             }
         }
         let Some(poll) = self.schedules.take_due(now) else { return Ok(true) };
@@ -79,8 +83,7 @@ impl Service<'_> {
         }
         match acquired {
             Ok(acquired) => self.deliver(poll, acquired, session.believed_baud_rate()),
-            // A damaged reply may come at once, too.
-            Err(failure) => self.fail(poll, failure, now + self.scan_time)?,
+            Err(failure) => self.fail(poll, failure, now)?,
         }
         Ok(true)
     }
@@ -96,17 +99,16 @@ impl Service<'_> {
         self.schedules.deliver(poll, scan, baud_rate);
     }
 
-    /// Ends a poll that has failed. At [`Rate::UNLIMITED`](crate::Rate::UNLIMITED) the next one is due `again`.
+    /// Ends a poll that has failed. At [`Rate::UNLIMITED`](crate::Rate::UNLIMITED) the next one is due a
+    /// revolution after this one `began`: a refusal comes at once, and so may a damaged reply.
     #[cold]
     pub(super) fn fail(
         &mut self,
         poll: DuePoll,
         failure: ExchangeError,
-        again: Instant,
+        began: Instant,
     ) -> Result<(), LinkError> {
-        // A refusal comes at once, and a window that the sensor lacks is not even sent.
-        let pause = if failure.is_lost_reply() { Duration::ZERO } else { self.scan_time };
-        let again = again.max(Instant::now() + pause);
+        let again = Instant::now().max(began + self.scan_time);
         let error = self.shared.link.error(command_error(failure)?);
         self.schedules.fail(poll, &error, again);
         Ok(())

@@ -13,29 +13,17 @@ use super::{Service, Stop, command_error, ignore_command_errors};
 use crate::ErrorKind;
 
 impl Service<'_> {
-    /// Delivers what has come of the stream, or starts one for the schedules that are not too slow for
-    /// it, if the line is not. Returns true if it has done so, false if there is nothing to do now, and
-    /// `None` if a schedule is to be polled.
-    pub(super) async fn serve_stream(
-        &mut self,
-        session: &mut Session,
-        has_come: bool,
-    ) -> Result<Option<bool>, Stop> {
-        if has_come {
-            self.deliver_streamed(session).await?;
-            return Ok(Some(true));
-        }
-        if !self.schedules.is_due() {
-            return Ok(Some(false));
-        }
+    /// Starts a stream for the schedules that are not too slow for it, if the line is not. Returns false if
+    /// a schedule is to be polled.
+    pub(super) async fn start_stream(&mut self, session: &mut Session) -> Result<bool, Stop> {
         // It would switch on a laser that is to be off.
         if self.queue.desired.laser == Some(false) {
-            return Ok(None);
+            return Ok(false);
         }
-        let Some(wish) = self.schedules.stream(self.scan_time) else { return Ok(None) };
-        let Some(mut streams) = session.streams() else { return Ok(None) };
+        let Some(wish) = self.schedules.stream(self.scan_time) else { return Ok(false) };
+        let Some(mut streams) = session.streams() else { return Ok(false) };
         if !streams.can_stream(wish) {
-            return Ok(None);
+            return Ok(false);
         }
         self.schedules.begin_stream(self.scan_time);
         let outcome = streams.stream(wish).await;
@@ -45,12 +33,11 @@ impl Service<'_> {
         match outcome {
             Ok(()) => self.streamed = Some(wish.skipped),
             Err(failure) => {
-                let again = Instant::now() + self.scan_time;
-                self.fail_streamed(&command_error(failure)?, again)?;
+                self.fail_streamed(&command_error(failure)?)?;
                 self.schedules.end_stream();
             }
         }
-        Ok(if is_due { None } else { Some(true) })
+        Ok(!is_due)
     }
 
     /// Takes the polls that are due for a scan, which arrived this late.
@@ -62,11 +49,11 @@ impl Service<'_> {
     }
 
     /// Ends the polls of the stream that are due now with an error.
-    fn fail_streamed(&mut self, error: &ErrorKind, again: Instant) -> Result<(), Stop> {
+    fn fail_streamed(&mut self, error: &ErrorKind) -> Result<(), Stop> {
         self.shared.counters.fail(self.shared.link.error(error.clone()));
         for poll in self.take_streamed(Duration::ZERO) {
             self.shared.counters.count_poll();
-            self.fail(poll, ExchangeError::Command(error.clone()), again)?;
+            self.fail(poll, ExchangeError::Command(error.clone()), Instant::now())?;
         }
         Ok(())
     }
@@ -81,7 +68,7 @@ impl Service<'_> {
 
     /// Delivers what has come of the stream: scans and errors. Ends the stream if no schedule needs it,
     /// and restarts it if they need more scans, or fewer.
-    async fn deliver_streamed(&mut self, session: &mut Session) -> Result<(), Stop> {
+    pub(super) async fn deliver_streamed(&mut self, session: &mut Session) -> Result<(), Stop> {
         // A sensor that sends without a pause must not keep other tasks from running.
         consume_budget().await;
         self.deliver_waiting(session)?;
@@ -108,7 +95,7 @@ impl Service<'_> {
             let streamed = match next {
                 Ok(streamed) => streamed,
                 Err(error) => {
-                    self.fail_streamed(&error, Instant::now())?;
+                    self.fail_streamed(&error)?;
                     continue;
                 }
             };
