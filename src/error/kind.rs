@@ -234,6 +234,9 @@ impl fmt::Display for Sentence<'_> {
             ErrorKind::InvalidEndpoint { text, reason } => {
                 write!(f, "invalid port {text:?}: {reason}")
             }
+            ErrorKind::NoSuchPort { port } if port.starts_with("tty") => {
+                write!(f, "no port {port}: write its whole path, /dev/{port}")
+            }
             ErrorKind::NoSuchPort { port } => {
                 write!(f, "no port {port}: plug the sensor in, and check the name of the port")
             }
@@ -259,6 +262,13 @@ impl fmt::Display for Sentence<'_> {
                     // A UST may leave another client's connection unanswered.
                     io::ErrorKind::TimedOut if port.starts_with("tcp://") => {
                         ": check its power and address, and stop other programs that are connected to it; if there is none, power-cycle it"
+                    }
+                    io::ErrorKind::HostUnreachable | io::ErrorKind::NetworkUnreachable => {
+                        ": check its power, cable and address (192.168.0.10 when new), and give this computer an address in the same network"
+                    }
+                    // As the look-up of a host's name fails.
+                    io::ErrorKind::NotFound if port.starts_with("tcp://") => {
+                        ": check the name of the host, and this computer's network"
                     }
                     _ => "",
                 };
@@ -359,8 +369,11 @@ impl fmt::Display for Sentence<'_> {
                 f.write_str("; power-cycle it")
             }
             ErrorKind::UnsupportedBaudRate { baud_rate, source } => {
-                let why =
-                    if source.is_some() { "" } else { ": its baud rate is fixed at the other end" };
+                let why = if source.is_some() {
+                    ""
+                } else {
+                    ": its baud rate is fixed at the other end, and a sensor on Ethernet has none"
+                };
                 write!(f, "the port of {sensor} cannot be set to {baud_rate} baud{why}")
             }
             ErrorKind::UnsupportedReboot => {

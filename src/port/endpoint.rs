@@ -153,7 +153,8 @@ fn parse(text: &str) -> Parsed {
     if let Some(address) = text.strip_prefix("tcp://") {
         return parse_tcp(address);
     }
-    if text.split_once("://").is_some_and(|(scheme, _)| !scheme.contains('/')) {
+    let is_address = |(scheme, _): (&str, _)| !scheme.contains('/');
+    if text.starts_with("tcp:") || text.split_once("://").is_some_and(is_address) {
         return Err("expected tcp://HOST or tcp://HOST:PORT, the only addresses with ://");
     }
     if let Some(number) = text.strip_prefix("serial:") {

@@ -27,7 +27,10 @@ impl Lookup {
     /// thread, and the next one takes its result.
     pub(super) async fn addresses(&mut self, host: &str, port: u16) -> io::Result<Vec<SocketAddr>> {
         let name = host.to_owned();
-        let mut found = self.run(host, move || Ok((name, 0).to_socket_addrs()?.collect())).await?;
+        // The system's kind of this error has no stable name.
+        let unknown = |error| io::Error::new(io::ErrorKind::NotFound, error);
+        let resolve = move || Ok((name, 0).to_socket_addrs().map_err(unknown)?.collect());
+        let mut found = self.run(host, resolve).await?;
         found.iter_mut().for_each(|address| address.set_port(port));
         Ok(found)
     }
@@ -99,6 +102,9 @@ mod tests {
         assert_eq!(begun.load(Ordering::Relaxed), 1);
         let missing = || Err(io::ErrorKind::NotFound.into());
         let error = other.run("fails", missing).await.unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::NotFound);
+        // No name is this long, so no server is asked.
+        let error = other.addresses(&"x".repeat(300), 7).await.unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::NotFound);
         assert!(other.run("panics", || panic!("a lookup")).await.is_err());
         assert!(other.addresses("127.0.0.1", 7).await.is_ok());

@@ -349,12 +349,17 @@ async fn zero_latency_makes_no_busy_loop() {
 #[tokio::test(start_paused = true)]
 async fn a_request_says_why_no_link_exists() {
     let port = || "it".to_owned();
-    let refused = io::ErrorKind::ConnectionRefused.into();
+    let [refused, unreachable, unknown] =
+        [io::ErrorKind::ConnectionRefused, io::ErrorKind::HostUnreachable, io::ErrorKind::NotFound]
+            .map(io::Error::from);
     for (error, remedy) in [
         (ErrorKind::NoSuchPort { port: port() }.into(), "no port it: plug the sensor in"),
         (ErrorKind::PermissionDenied { port: port(), group: None }.into(), "give the user read"),
         (ErrorKind::Busy { port: port() }.into(), "stop the program that has it open"),
         (Error::open(port(), refused), "cannot open it: a sensor on Ethernet may still boot"),
+        (Error::open("tcp://it", unreachable), "give this computer an address in the same network"),
+        (Error::open("tcp://it", unknown), "cannot open tcp://it: check the name of the host"),
+        (ErrorKind::NoSuchPort { port: "ttyS9".to_owned() }.into(), "whole path, /dev/ttyS9"),
     ] {
         let failure = error.clone();
         let connect = ConnectFn(move || Err::<StreamPort<DuplexStream>, _>(failure.clone()));

@@ -71,6 +71,7 @@ fn an_invalid_port_is_refused_with_the_reason() {
         ("bridge:4001", "tcp://HOST:PORT"),
         ("192.168.0.10", "tcp://HOST"),
         ("tcp:bridge:4001", "tcp://HOST:PORT"),
+        ("tcp:bridge", "tcp://HOST"),
     ];
     for (text, expected) in table {
         let error = text.parse::<Endpoint>().unwrap_err();
