@@ -48,7 +48,7 @@ pub struct Stats {
     /// pseudo-terminal, a sensor on USB and a serial server do. Limits computed from the baud rate
     /// do not apply.
     pub baud_rate_disproved: bool,
-    /// Times from a `G` to the last byte of its reply.
+    /// Times from a `G` to the last byte of its reply, and in a stream of SCIP 2 from scan to scan.
     pub reply_latency: LatencyStats,
     /// Motor of the sensor, on its own USB port. `None` while too few replies follow its
     /// revolutions, and while the link is lost.
@@ -177,9 +177,14 @@ impl ScheduleStats {
             clustered.is_ok_and(|clustered| carries(clustered, baud_rate))
         });
         let faster = BaudRate::ALL.into_iter().find(|faster| carries(window, *faster));
-        let millis = window.wire_time(baud_rate).as_millis();
-        let mut text = format!("a scan takes {millis} ms at {baud_rate} baud. What helps: ");
-        text.push_str("fewer scans or steps");
+        let wire_time = window.wire_time(baud_rate);
+        let mut text = format!("a scan takes {} ms at {baud_rate} baud", wire_time.as_millis());
+        // More than a lone stream needs per scan: a poll may wait for two revolutions.
+        let alone = 2.0 * wire_time.as_secs_f64() + 0.4;
+        if self.reached.is_some_and(|reached| reached * alone < 1.0) {
+            text.push_str(", and other polls share the line");
+        }
+        text.push_str(". What helps: fewer scans or steps");
         text.extend(cluster.map(|count| format!(", clusters of {count}")));
         text.extend(faster.map(|faster| format!(", {faster} baud")));
         text

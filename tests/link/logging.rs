@@ -238,6 +238,26 @@ async fn a_rate_that_is_not_reached_is_logged_with_its_reason() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_line_that_two_windows_share_is_the_reason() {
+    let sensor = sensor(&Emulator::builder().baud_rate(BaudRate::B19200).build()).await;
+    let ahead = Window::degrees(-30.0..=30.0).unwrap();
+    let _ahead = sensor.scans(ahead, Rate::hz(10.0)).await.unwrap();
+    let all = sensor.scans(WINDOW, Rate::hz(2.0)).await.unwrap();
+    let is_shared = || {
+        let schedules = sensor.stats().schedules;
+        let ahead = schedules.iter().find(|schedule| schedule.window.is_same_wish(&ahead));
+        let why = ahead.unwrap().explanation().unwrap();
+        assert!(why.starts_with("a scan takes 193 ms at 19200 baud"), "{why}");
+        why.contains(", and other polls share the line. What helps: ")
+    };
+    sleep(Duration::from_secs(20)).await;
+    assert!(is_shared());
+    drop(all);
+    sleep(Duration::from_secs(20)).await;
+    assert!(!is_shared());
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_rate_that_falls_short_again_is_logged_after_a_good_minute() {
     let log = Log::default();
     let _guard = crate::common::logs::collect(log.clone());
