@@ -56,7 +56,7 @@
 //! | feature | adds |
 //! |---|---|
 //! | `serial` (default) | serial ports: RS-232 and USB |
-//! | `tcp` (default) | servers that pass bytes to and from a sensor, such as ser2net |
+//! | `tcp` (default) | sensors on Ethernet, and serial servers such as ser2net |
 //! | `serde` | `Serialize` for scans, windows, versions, states and counters |
 //!
 //! [`SensorBuilder::attach`] and your own [`Connect`](port::Connect) need no feature.

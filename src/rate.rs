@@ -16,9 +16,9 @@ const MAX_DECIMALS: usize = 20;
 
 /// Number of scans per second that a stream asks for.
 ///
-/// A URG makes about ten revolutions per second: [`Rate::hz(10.0)`](Rate::hz) gets a scan of almost
-/// each, and [`Rate::UNLIMITED`] of each. The line may carry fewer, see
-/// [`Window::wire_time`](crate::Window::wire_time).
+/// A URG makes about ten revolutions per second, a UTM or UST 40. Of a URG [`Rate::hz(10.0)`](Rate::hz)
+/// gets a scan of almost each. [`Rate::UNLIMITED`] gets a scan of each, whatever the model. The line may
+/// carry fewer, see [`Window::wire_time`](crate::Window::wire_time).
 ///
 /// As text and as data (feature `serde`) it is `10 Hz`, `0.5 Hz` or `max`. In data, you
 /// may also write a number, or a text without the unit.
@@ -110,7 +110,7 @@ impl FromStr for Rate {
         if text == "max" {
             return Ok(Self::UNLIMITED);
         }
-        let number = text.strip_suffix("Hz").unwrap_or(text).trim_end();
+        let number = text.strip_suffix("Hz").or(text.strip_suffix("hz")).unwrap_or(text).trim_end();
         let hz = number.parse().ok().and_then(valid);
         hz.ok_or_else(|| invalid(text))
     }

@@ -20,6 +20,19 @@ use super::{Point, Scan};
 /// assert!((x - 9.5).abs() < 1e-9 && (y - 6.2).abs() < 1e-9); // to the left of the vehicle
 /// ```
 ///
+/// In the coordinates of a screen (x to the right, y down) directions count clockwise. So set
+/// `upside_down` for a sensor on a wall that turns its top to you, and clear it for one that does not:
+///
+/// ```
+/// use tokio_scip::scan::Pose;
+///
+/// // In the middle of the upper edge of a picture 3 m wide. It looks down: along y.
+/// let heading = 90f64.to_radians();
+/// let sensor = Pose { x: 1.5, y: 0.0, heading, upside_down: true };
+/// let (x, y) = sensor.transform(1.0, 0.2); // 1 m ahead of it, 0.2 m to its left
+/// assert!((x - 1.7).abs() < 1e-9 && (y - 1.0).abs() < 1e-9); // the right half of the picture
+/// ```
+///
 /// Numbers that are not finite make results that are not finite. As data (feature `serde`) it
 /// is `x`, `y`, `heading`, and `upside_down`, which may be left out.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]

@@ -100,7 +100,8 @@ impl Scan {
     }
 
     /// Strengths of the reflections, in the order of their steps, in the sensor's own unit: 18 bits. Real
-    /// UST-10LX sent 370 to 1,913, and 0 for each step without a distance. `None` unless you
+    /// UST-10LX sent 370 to 1,913, and 0 for each step without a distance. Zip them with
+    /// [`rays`](Self::rays): [`points`](Self::points) leaves out rays. `None` unless you
     /// [asked for them](crate::SensorBuilder::intensities) and the sensor has them.
     pub fn intensities(&self) -> Option<&[u32]> {
         self.values.intensities(self.first, self.window.points())

@@ -10,7 +10,9 @@ const UNIT_MICROS: u64 = 64;
 /// Reaches 16.8 s, longer than the longest deadline.
 const BUCKETS: usize = 128;
 
-/// Times from a `G` to the last byte of its reply. All zero before the first reply.
+/// Times from a `G` to the last byte of its reply. All zero before the first reply. In a stream of
+/// SCIP 2, where the sensor sends scans unasked, times from one scan to the next: for the age of a scan
+/// use [`Scan::times`](crate::Scan::times).
 ///
 /// As data (feature `serde`) it is `count`, and in seconds `last`, `min`, `max`,
 /// `total`, and the quantiles `p50`, `p90` and `p99`.

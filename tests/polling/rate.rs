@@ -39,6 +39,7 @@ fn a_rate_is_parsed_from_its_own_text() {
     }
     assert_eq!("10".parse::<Rate>().unwrap(), Rate::hz(10.0));
     assert_eq!("10Hz".parse::<Rate>().unwrap(), Rate::hz(10.0));
+    assert_eq!("10hz".parse::<Rate>().unwrap(), Rate::hz(10.0));
 }
 
 #[test]
