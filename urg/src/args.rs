@@ -153,7 +153,7 @@ pub(crate) struct PaceArgs {
     /// Stop after this many scans
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) count: Option<u64>,
-    /// Stop after this time: 10s, 500ms, 5m, 1h
+    /// Stop after this time, without the wait for the sensor: 10s, 500ms, 5m, 1h
     #[arg(long, value_name = "TIME", value_parser = duration, allow_hyphen_values = true)]
     pub(crate) duration: Option<Duration>,
 }

@@ -94,7 +94,7 @@ async fn a_sensor_at_19200_baud_serves_at_115200() {
     // It keeps this baud rate, and is found at it.
     let info = run(&format!("info {}", sensor.port), 0).stdout;
     assert!(info.contains("baud rate      115200 baud"), "{info}");
-    let output = run(&format!("baud {} 57600", sensor.port), 0);
+    let output = run(&format!("baud {} 57600 --timeout 9s", sensor.port), 0);
     assert!(output.stderr.contains("the baud rate is 57600 baud"), "{}", output.stderr);
     let output = run(&format!("stream {} --count 1", sensor.port), 0);
     assert_eq!(scans(&output.stdout).len(), 1);

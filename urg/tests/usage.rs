@@ -23,6 +23,38 @@ fn every_command_has_help_on_standard_output() {
     assert!(run("--version", 0).stdout.starts_with("urg "));
 }
 
+#[test]
+fn the_help_explains_each_member_of_a_scan() {
+    let help = run("help stream", 0).stdout;
+    let line = run("stream emulated --count 1 --format ndjson", 0).stdout;
+    let scan: serde_json::Map<String, serde_json::Value> = serde_json::from_str(&line).unwrap();
+    let explained = |name: &str| {
+        help.lines().any(|line| line.split([' ', ',']).take(5).any(|word| word == name))
+    };
+    let missing: Vec<_> = scan.keys().filter(|name| !explained(name)).collect();
+    assert!(missing.is_empty(), "{missing:?}");
+}
+
+#[test]
+fn baud_takes_the_options_of_the_link_but_another_baud_rate() {
+    let help = run("help baud", 0).stdout;
+    let options: Vec<_> = ["--protocol", "--wait", "--timeout", "--baud", "--intensity"]
+        .into_iter()
+        .filter(|option| help.contains(option))
+        .collect();
+    assert_eq!(options, ["--protocol", "--wait", "--timeout"]);
+}
+
+/// A build without some compression suggests no command that needs it.
+#[test]
+fn the_example_of_a_compression_works_in_this_build() {
+    let help = run("help cut", 0).stdout;
+    let example = help.lines().find(|line| line.contains("--compress ") && line.contains(".mcap"));
+    let name = example.unwrap().split("--compress ").nth(1).unwrap();
+    let values = help.lines().find(|line| line.contains("[possible values: ")).unwrap();
+    assert!(values.contains(name), "{name} in {values}");
+}
+
 #[cfg(not(any(feature = "dds", feature = "zenoh", feature = "foxglove")))]
 #[test]
 fn publish_says_how_to_build_it() {

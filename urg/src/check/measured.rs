@@ -199,7 +199,7 @@ impl Measured {
         let lateness: Vec<_> = self.scans.iter().filter_map(|seen| seen.lateness).collect();
         let Some(motor) = self.after.motor.filter(|_| !lateness.is_empty()) else {
             let why = match self.geometry.protocol() {
-                Protocol::Scip1 => "only the sensor's own USB port shows it",
+                Protocol::Scip1 => "only a sensor's own USB port shows it, if scans arrive on time",
                 Protocol::Scip2 => "test for longer",
             };
             return Finding::ok("motor", format!("not known: {why}"));

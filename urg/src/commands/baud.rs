@@ -14,24 +14,26 @@ use crate::port::open::{open, proven_baud_rate};
 /// The sensor keeps this baud rate until you power-cycle it. After that it is at its
 /// default again, usually 19200. `urg` and programs that use tokio-scip detect it at any baud rate.
 #[derive(Debug, clap::Args)]
-#[command(allow_missing_positional = true, after_help = "Example:\n  urg baud /dev/ttyUSB0 115200")]
+#[command(
+    allow_missing_positional = true, mut_arg("baud", |option| option.hide(true)), // RATE instead
+    mut_arg("intensity", |option| option.hide(true)), // It takes no scan.
+    after_help = "Example:\n  urg baud /dev/ttyUSB0 115200"
+)]
 pub(crate) struct Baud {
     #[command(flatten)]
     port: PortArg,
     /// 19200, 57600, 115200, 250000, 500000 or 750000
     #[arg(value_name = "RATE")]
     baud_rate: BaudRate,
-    /// Wait for the sensor to appear, without a time limit
-    #[arg(long)]
-    wait: bool,
+    #[command(flatten)]
+    link: LinkArgs,
 }
 
 impl Baud {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let port = self.port.required().await?;
         port.require_sensor()?;
-        let link = LinkArgs { wait: self.wait, ..LinkArgs::default() };
-        let sensor = open(&port, &link, Delivery::Newest).await?;
+        let sensor = open(&port, &self.link, Delivery::Newest).await?;
         let moved = sensor.set_baud_rate(self.baud_rate).await;
         moved.map_err(|error| Failure::at(&port, &error))?;
         match proven_baud_rate(&sensor).await {

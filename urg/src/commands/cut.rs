@@ -25,7 +25,7 @@ use crate::recording::span::RangeArgs;
 Examples:
   urg cut run.mcap part.mcap --range 1:30..2:00
   urg cut run*.mcap whole.mcap
-  urg cut run.mcap small.mcap --compress zstd
+  urg cut run.mcap plain.mcap --compress none
   urg cut run.mcap - --range 90s.. | ssh host 'cat > part.mcap'"
 )]
 pub(crate) struct Cut {
@@ -50,7 +50,7 @@ impl Cut {
         let copied = rewrite(files, &out, interrupt, copy, is_kept).await?;
         let Copied { messages, scans, damaged_parts, was_truncated, .. } = copied;
         if messages == 0 && !is_dash(&out) {
-            return Err(Failure::Failed(format!("{name}: nothing in this part")));
+            return Err(Failure::Failed(format!("{name}: nothing in this part: see `urg info`")));
         }
         let mut text = format!("{name}: {}", counted(scans, "scan"));
         if damaged_parts > 0 {

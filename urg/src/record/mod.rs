@@ -89,7 +89,7 @@ pub(crate) struct Record {
     sync: Duration,
     /// Compress the file
     ///
-    /// zstd takes the fewest bytes, lz4 the least CPU time. You lose no more if the
+    /// zstd (not in every build) takes the fewest bytes, lz4 the least CPU time. You lose no more if the
     /// program is killed or the power fails.
     #[arg(long, value_name = "NAME", value_enum, default_value_t = CompressionName::None)]
     compress: CompressionName,

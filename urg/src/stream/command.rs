@@ -65,13 +65,13 @@ NDJSON has one object a line. An object with the field \"event\" is an event
                    stamp_quality is \"arrival\"
   start,end        the first and the last step
   cluster          number of steps of a point
-  angle_min        direction of the first point in radians, counter-clockwise
-                   from the front
+  angle_min        radians of the first point, counter-clockwise from the front
   angle_increment  from one point to the next
   scan_time        seconds of a revolution of the motor, measured if known
+  range_min,range_max  metres, just outside of all distances
   repeat           true if all values equal those of the scan before
-  reconnects       number of reconnects before this scan; it rises at the first
-                   scan after each
+  reconnects       number of reconnects before this scan
+  beyond           values that are +Inf in ROS: perhaps beyond the range
   values           as the sensor sent them: mm, or an error code of the model
   ranges           metres; null where there is no distance
   intensities      with --intensity, if the sensor has them: strengths of the
