@@ -179,8 +179,9 @@ impl ScheduleStats {
         let faster = BaudRate::ALL.into_iter().find(|faster| carries(window, *faster));
         let wire_time = window.wire_time(baud_rate);
         let mut text = format!("a scan takes {} ms at {baud_rate} baud", wire_time.as_millis());
-        // More than a lone stream needs per scan: a poll may wait for two revolutions.
-        let alone = 2.0 * wire_time.as_secs_f64() + 0.4;
+        // More than a lone stream needs per scan: a poll may wait for two slow revolutions, and the
+        // time in which scans are counted may end just before one.
+        let alone = 1.2 * wire_time.as_secs_f64() + 0.3;
         if self.reached.is_some_and(|reached| reached * alone < 1.0) {
             text.push_str(", and other polls share the line");
         }

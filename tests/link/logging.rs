@@ -239,6 +239,8 @@ async fn a_rate_that_is_not_reached_is_logged_with_its_reason() {
 
 #[tokio::test(start_paused = true)]
 async fn a_line_that_two_windows_share_is_the_reason() {
+    let log = Log::default();
+    let _guard = crate::common::logs::collect(log.clone());
     let sensor = sensor(&Emulator::builder().baud_rate(BaudRate::B19200).build()).await;
     let ahead = Window::degrees(-30.0..=30.0).unwrap();
     let _ahead = sensor.scans(ahead, Rate::hz(10.0)).await.unwrap();
@@ -252,6 +254,9 @@ async fn a_line_that_two_windows_share_is_the_reason() {
     };
     sleep(Duration::from_secs(20)).await;
     assert!(is_shared());
+    let shared =
+        log.0.lock().unwrap().lines.iter().filter(|(_, line)| line.contains("share")).count();
+    assert_eq!(shared, 1, "the larger window is the reason, and has none");
     drop(all);
     sleep(Duration::from_secs(20)).await;
     assert!(!is_shared());
