@@ -49,7 +49,7 @@ impl Families {
         self.add(("urg_baud_rate_disproved", "gauge", help), "", own, disproved);
         let latency = &stats.reply_latency;
         if latency.count > 0 {
-            let help = "Time from a poll to its whole reply";
+            let help = "Time from a poll to its whole reply; in a SCIP 2 stream, between scans";
             let family = ("urg_reply_latency_seconds", "summary", help);
             for (label, q) in [("0.5", 0.5), ("0.9", 0.9), ("0.99", 0.99), ("1", 1.0)] {
                 let value = latency.quantile(q).as_secs_f64();
