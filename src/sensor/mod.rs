@@ -200,7 +200,9 @@ impl Sensor {
     /// [`Disconnected`](crate::ErrorKind::Disconnected) or the reason of the latest attempt, and
     /// continues when the link is back. While the driver waits for its first link, only
     /// [`watch_state`](Self::watch_state) has the reason. After [`laser_off`](Self::laser_off) the
-    /// stream pauses, without an error.
+    /// stream pauses, without an error. If the sensor does not measure the window, the stream yields
+    /// [`WindowError::NotMeasured`](crate::protocol::WindowError::NotMeasured) once, and no scans while
+    /// this sensor is connected.
     ///
     /// # Errors
     ///
