@@ -259,8 +259,9 @@ impl Sensor {
     /// it off, call [`laser_off`](Self::laser_off) first.
     ///
     /// If the sensor does not answer, this waits for the deadlines of the current command and of
-    /// one fence: 1.5 s and their time on the wire, unless you set
-    /// [`reply_latency`](SensorBuilder::reply_latency).
+    /// one more: 1.5 s and their time on the wire, unless you set
+    /// [`reply_latency`](SensorBuilder::reply_latency). A pending [`reboot`](Self::reboot), or a pending
+    /// scan of a slow stream, may add a second.
     pub async fn close(&self) {
         let _closing = self.client.shared.announce_closing();
         // Any outcome means that the driver has ended.

@@ -10,7 +10,7 @@ use tokio::io::{
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep, timeout};
 use tokio_scip::protocol::Protocol;
-use tokio_scip::{BaudRate, ErrorKind, Rate, Window};
+use tokio_scip::{BaudRate, Error, ErrorKind, Rate, Sensor, State, Window};
 use urg_emulator::{Emulator, Fault, Faults, Firmware, Model};
 
 use super::refusals::{PARAMETERS, VERSION};
@@ -148,12 +148,14 @@ async fn a_single_scan_does_not_slow_a_stream_down() {
     let emulator = emulator.baud_rate(BaudRate::B115200).build();
     let asking = builder().protocol(Protocol::Scip2).depth(512);
     let sensor = asking.connect(emulator.clone()).await.unwrap();
-    let front = Window::degrees(-10.0..=10.0).unwrap();
-    let mut stream = sensor.scans(front, Rate::UNLIMITED).await.unwrap();
+    let right = Window::new(44..=100).unwrap();
+    let mut stream = sensor.scans(right, Rate::UNLIMITED).await.unwrap();
     next(&mut stream).await;
     assert!(commands(&emulator, b"MD") > 0);
-    // Takes the line twice as long as a revolution.
-    assert_eq!(sensor.scan(Window::DETECTION).await.unwrap().len(), 682);
+    // With the stream's window, each takes the line twice as long as a revolution.
+    for (window, len) in [(Window::DETECTION, 682), (Window::new(700..=725).unwrap(), 26)] {
+        assert_eq!(sensor.scan(window).await.unwrap().len(), len);
+    }
     let end = Instant::now() + Duration::from_secs(5);
     let mut count = 0;
     while next(&mut stream).await.received_at() < end {
@@ -255,6 +257,30 @@ async fn nothing_goes_beside_a_stream_whose_answer_was_damaged() {
     assert!(next.starts_with("QT"), "{next}");
 }
 
+/// The sensor checks for an error, and finds none.
+#[tokio::test(start_paused = true)]
+async fn a_stream_continues_after_a_check_of_the_sensor() {
+    crate::common::limit::limit();
+    let statuses = [("21S", true), ("98a", true), ("10Q", false)];
+    for (status, continues) in statuses {
+        let [first, second, _] = SCANS;
+        let replies = ["00P", first, status, second];
+        let (port, mut asked) = sensor_with_a_stream_of(move |sent| replies.get(sent).copied());
+        let sensor = builder().attach(port).await.unwrap();
+        let mut stream =
+            sensor.scans(Window::new(384..=384).unwrap(), Rate::UNLIMITED).await.unwrap();
+        assert_eq!(next(&mut stream).await.raw_values().collect::<Vec<_>>(), [1344]);
+        while asked.try_recv().is_ok() {}
+        let error = stream.next().await.unwrap().unwrap_err();
+        assert!(matches!(error.kind(), ErrorKind::Refused { .. }), "{error}");
+        assert_eq!(sensor.stats().refused, 1);
+        let start = Instant::now();
+        while !asked.recv().await.unwrap().starts_with("QT") {}
+        // At its deadline, or at once.
+        assert_eq!(start.elapsed() > Duration::from_secs(1), continues, "{status}");
+    }
+}
+
 /// Three scans of one step: 1,344 mm, 1,345 mm, 1,346 mm.
 const SCANS: [&str; 3] = ["99b\n00000\n0E0U", "99b\n000II\n0E1V", "99b\n000bb\n0E2W"];
 
@@ -263,9 +289,10 @@ async fn a_copy_after_the_next_scan_is_no_scan() {
     crate::common::limit::limit();
     let [first, second, third] = SCANS;
     // The damaged one is no scan either: its clock is not known.
-    for at_first in [first, "99b\n00000\n0E0V"] {
+    // Nor has its stream an answer in one case.
+    for (at_first, lost) in [(first, 0), (first, 1), ("99b\n00000\n0E0V", 0)] {
         let replies = ["00P", at_first, second, first, third];
-        let (port, _asked) = sensor_with_a_stream_of(move |sent| replies.get(sent).copied());
+        let (port, _asked) = sensor_with_a_stream_of(move |sent| replies.get(sent + lost).copied());
         let sensor = builder().attach(port).await.unwrap();
         let front = Window::new(384..=384).unwrap();
         let mut stream = sensor.scans(front, Rate::UNLIMITED).await.unwrap();
@@ -334,16 +361,20 @@ async fn t14_a_copy_on_a_slow_line_is_no_scan() {
 #[tokio::test(start_paused = true)]
 async fn a_stream_that_would_fill_the_line_is_polled() {
     // Scans take 100 ms, 75 ms and 87 ms of each 100 ms, and of the 87 ms that a fast motor takes.
-    for (last, revolution_ms, is_polled) in
-        [(472, 100, true), (420, 100, false), (446, 100, false), (446, 87, true)]
-    {
+    for (last, revolution_ms, rate, is_polled) in [
+        (472, 100, Rate::UNLIMITED, true),
+        (472, 100, Rate::hz(5.0), false),
+        (420, 100, Rate::UNLIMITED, false),
+        (446, 100, Rate::UNLIMITED, false),
+        (446, 87, Rate::UNLIMITED, true),
+    ] {
         let emulator = numbered(Model::Urg04lx).firmware(Firmware::V31);
         let emulator = emulator.revolution(Duration::from_millis(revolution_ms));
         let emulator = emulator.baud_rate(BaudRate::B57600).build();
         let asking = builder().protocol(Protocol::Scip2).baud_rate(BaudRate::B57600);
         let sensor = asking.connect(emulator.clone()).await.unwrap();
         let window = Window::new(300..=last).unwrap();
-        let mut stream = sensor.scans(window, Rate::UNLIMITED).await.unwrap();
+        let mut stream = sensor.scans(window, rate).await.unwrap();
         for _ in 0..100 {
             revolution(&next(&mut stream).await);
         }
@@ -370,6 +401,8 @@ async fn a_stream_of_another_program_leaves_the_laser_as_it_was() {
             sleep(Duration::from_secs(1)).await;
         }
         assert_eq!((commands(&emulator, b"QT"), emulator.is_laser_on()), (stops + 1, on));
+        sensor.sensor_state().await.unwrap();
+        assert_eq!(commands(&emulator, b"QT"), stops + 1);
     }
 }
 
@@ -382,6 +415,85 @@ async fn late_replies_are_no_stream() {
     let stops = commands(&emulator, b"QT");
     sensor.scan(Window::DETECTION).await.unwrap();
     assert_eq!(commands(&emulator, b"QT"), stops);
+    let stats = sensor.stats();
+    assert!(stats.timeouts > 0 && stats.bytes_skipped > 0, "{stats:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn scans_that_come_with_each_reply_are_a_stream() {
+    for (head, is_stream) in [("MD", true), ("NE", true), ("VV", false)] {
+        let emulator = numbered(Model::Ust10lx).build();
+        let sensor = builder().connect(emulator.clone()).await.unwrap();
+        sensor.scan(Window::DETECTION).await.unwrap();
+        let stops = commands(&emulator, b"QT");
+        let scan = format!("{head}0000108001000\n99b\n\n");
+        emulator.set_faults(Faults::none().once("GD", Fault::Garbage(scan.into_bytes())));
+        // Such a stream is ended before a request for the state, too.
+        sensor.scan(Window::DETECTION).await.unwrap();
+        sensor.sensor_state().await.unwrap();
+        assert_eq!(commands(&emulator, b"QT") - stops, usize::from(is_stream), "{head}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_laser_is_switched_although_its_replies_are_lost() {
+    let emulator = numbered(Model::Ust10lx).build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    emulator.set_faults(Faults::none().on("QT", Fault::Lost).on("BM", Fault::Lost));
+    for on in [true, false] {
+        if on { sensor.laser_on().await } else { sensor.laser_off().await }.unwrap();
+        assert_eq!(emulator.is_laser_on(), on);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn requests_wait_for_the_scans_on_a_slow_line() {
+    let emulator = numbered(Model::Urg04lx).firmware(Firmware::V31);
+    let emulator = emulator.baud_rate(BaudRate::B19200).build();
+    let hasty = builder().reply_latency(Duration::from_millis(120));
+    let sensor = hasty.protocol(Protocol::Scip2).connect(emulator.clone()).await.unwrap();
+    let window = Window::new(200..=400).unwrap();
+    let mut stream = sensor.scans(window, Rate::hz(1.0)).await.unwrap();
+    for n in 0..20 {
+        next(&mut stream).await;
+        sleep(Duration::from_millis(50 * n)).await;
+        sensor.sensor_state().await.unwrap();
+    }
+    let stats = sensor.stats();
+    assert_eq!((stats.timeouts, stats.bytes_skipped), (0, 0));
+}
+
+#[tokio::test(start_paused = true)]
+async fn observers_take_no_probe_for_a_scan() {
+    let (log, mut probes) = mpsc::unbounded_channel();
+    let observed = builder().idle_probe(Some(Duration::from_millis(100))).on_reply(move |reply| {
+        if reply.bytes.starts_with(b"GD") {
+            let _ = log.send(reply.request.is_some());
+        }
+    });
+    let sensor = observed.connect(numbered(Model::Ust10lx).build()).await.unwrap();
+    assert!(!probes.recv().await.unwrap());
+    sensor.scan(Window::DETECTION).await.unwrap();
+    while !probes.recv().await.unwrap() {}
+}
+
+#[tokio::test(start_paused = true)]
+async fn silence_is_told_before_a_stream_begins_anew() {
+    for rate in [Rate::UNLIMITED, Rate::hz(0.5)] {
+        let emulator = numbered(Model::Ust10lx).build();
+        let sensor = builder().connect(emulator.clone()).await.unwrap();
+        let mut stream = sensor.scans(Window::DETECTION, rate).await.unwrap();
+        next(&mut stream).await;
+        emulator.set_faults(Faults::none().every(Fault::CommandLost));
+        let start = Instant::now();
+        let error = stream.next().await.unwrap().unwrap_err();
+        assert!(matches!(error.kind(), ErrorKind::Timeout { .. }), "{error}");
+        assert!(start.elapsed() < Duration::from_millis(2600), "{rate}: {:?}", start.elapsed());
+        // Nothing tells whether the sensor still sends one.
+        let mut state = sensor.watch_state();
+        let silent = state.wait_for(|state| matches!(state, State::Recovering));
+        timeout(Duration::from_secs(5), silent).await.unwrap().unwrap();
+    }
 }
 
 #[tokio::test(start_paused = true)]
@@ -399,6 +511,43 @@ async fn d16_a_stream_that_goes_on_is_ended_again() {
         let sent = emulator.counts().scans;
         sleep(Duration::from_secs(1)).await;
         assert_eq!(emulator.counts().scans, sent, "{model:?}");
+        // Its laser was on.
+        assert_eq!(sensor.stats().refused, 0, "{model:?}");
+    }
+}
+
+/// Calls the request of this number.
+async fn request(sensor: Sensor, number: usize) -> Result<(), Error> {
+    match number {
+        0 => sensor.laser_on().await,
+        1 => sensor.laser_off().await,
+        2 => sensor.scan(Window::DETECTION).await.map(drop),
+        3 => sensor.sensor_state().await.map(drop),
+        4 => sensor.set_baud_rate(BaudRate::B57600).await,
+        _ => sensor.reboot().await,
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a17_closing_at_silence_takes_two_commands() {
+    // Before the call, and whether there is a stream.
+    let cases = (0..3000).step_by(230).flat_map(|ms| [(ms, true), (ms, false)]);
+    for ((ms, streams), number) in cases.flat_map(|case| (0..6).map(move |number| (case, number))) {
+        let emulator = numbered(Model::Ust10lx).build();
+        let sensor = builder().connect(emulator.clone()).await.unwrap();
+        let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+        next(&mut stream).await;
+        let _stream = streams.then_some(stream);
+        sleep(Duration::from_millis(100)).await;
+        emulator.set_faults(Faults::none().every(Fault::CommandLost));
+        tokio::spawn(request(sensor.clone(), number));
+        sleep(Duration::from_millis(ms)).await;
+        let start = Instant::now();
+        sensor.close().await;
+        // A scan is due after another revolution, and a restart takes longer.
+        let limit = Duration::from_millis(if number < 5 { 1525 } else { 2000 });
+        let took = start.elapsed();
+        assert!(took <= limit, "{number} after {ms} ms, {streams}: {took:?}");
     }
 }
 

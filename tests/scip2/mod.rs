@@ -8,10 +8,13 @@ mod refusals;
 mod streams;
 mod times;
 
+use std::time::Duration;
+
 use tokio::io::AsyncWriteExt;
+use tokio::time::timeout;
 use tokio_scip::protocol::Protocol;
-use tokio_scip::{BaudRate, ErrorKind, Geometry, Rate, Scan, Sensor, Window};
-use urg_emulator::{Emulator, EmulatorBuilder, Firmware, Model, Values, WorldTime};
+use tokio_scip::{BaudRate, ErrorKind, Geometry, Rate, Scan, Sensor, State, Window};
+use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Firmware, Model, Values, WorldTime};
 
 use crate::common::builder;
 
@@ -87,6 +90,31 @@ async fn a_urg_speaks_scip_2_if_asked() {
     emulator.power_cycle();
     let sensor = builder().connect(emulator.clone()).await.unwrap();
     assert_eq!(sensor.geometry().await.unwrap(), Geometry::URG_04LX);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_urg_enters_scip_2_although_replies_are_lost() {
+    for lost in 1..=2 {
+        let faults = (1..=lost).fold(Faults::none(), |faults, n| faults.at(n, Fault::Lost));
+        let emulator = numbered(Model::Urg04lx).firmware(Firmware::V31).faults(faults).build();
+        builder().protocol(Protocol::Scip2).connect(emulator.clone()).await.unwrap();
+        let entries = emulator.log().iter().filter(|line| line.line == b"SCIP2.0").count();
+        assert_eq!(entries, lost as usize + 1);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn polls_are_counted_and_find_a_silent_sensor() {
+    let emulator = numbered(Model::Ust10lx).build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    sensor.scan(Window::DETECTION).await.unwrap();
+    let stats = sensor.stats();
+    assert_eq!((stats.polls, stats.refused), (2, 1), "the laser was off");
+    emulator.set_faults(Faults::none().every(Fault::CommandLost));
+    sensor.scan(Window::DETECTION).await.unwrap_err();
+    let mut state = sensor.watch_state();
+    let silent = state.wait_for(|state| matches!(state, State::Recovering));
+    timeout(Duration::from_secs(5), silent).await.unwrap().unwrap();
 }
 
 #[tokio::test(start_paused = true)]
@@ -181,7 +209,7 @@ async fn a_stream_of_another_program_is_stopped() {
         let emulator = numbered(model).build();
         let mut link = emulator.link();
         link.write_all(b"MD0044072501000\n").await.unwrap();
-        tokio::time::sleep(std::time::Duration::from_secs(3)).await;
+        tokio::time::sleep(Duration::from_secs(3)).await;
         drop(link);
         let sensor = builder().connect(emulator.clone()).await.unwrap();
         let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -207,7 +235,7 @@ async fn a_sensor_that_was_left_in_another_state_is_measured() {
         let mut link = emulator.link();
         for line in left.split_inclusive('\n') {
             link.write_all(line.as_bytes()).await.unwrap();
-            tokio::time::sleep(std::time::Duration::from_secs(1)).await;
+            tokio::time::sleep(Duration::from_secs(1)).await;
         }
         drop(link);
         let sensor = builder().connect(emulator.clone()).await.unwrap();

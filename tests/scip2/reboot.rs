@@ -100,6 +100,16 @@ async fn what_is_lost_is_sent_again() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_sensor_restarts_although_all_replies_are_lost() {
+    let emulator = numbered(Model::Ust10lx).boot_time(Duration::from_secs(5)).build();
+    let sensor = builder().wait_for_sensor(true).connect(emulator.clone()).await.unwrap();
+    sensor.watch_state().connected().await.unwrap();
+    emulator.set_faults(Faults::none().on("RB", Fault::Lost));
+    sensor.reboot().await.unwrap();
+    assert_eq!(emulator.counts().resets, 1);
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_sensor_that_refuses_goes_on() {
     let emulator = numbered(Model::Urg04lxUg01).build();
     let sensor = builder().connect(emulator.clone()).await.unwrap();

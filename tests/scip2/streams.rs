@@ -168,6 +168,7 @@ async fn single_scans_and_settings_go_beside_a_stream() {
         singles.push(sensor.scan(Window::new(100..=200).unwrap()).await.unwrap());
         assert!(asked.elapsed() <= Duration::from_millis(27), "{:?}", asked.elapsed());
     }
+    assert_eq!((count(&emulator, "MD"), count(&emulator, "GD")), (1, 0));
     let all = revolutions(&mut stream, 20).await;
     assert_eq!(all, singles.iter().map(revolution).collect::<Vec<_>>());
     // The laser's command ends the stream, which begins anew.
@@ -190,6 +191,7 @@ async fn a_window_outside_of_the_stream_widens_it() {
     let lost = sensor.stats().lost;
     // The sensor sends nothing between the two streams.
     assert_eq!(u64::from(after[0] - before[9] - 1), lost);
+    assert_eq!(count(&emulator, "MD"), count(&emulator, "QT"));
     assert!((1..=3).contains(&lost), "{lost}");
     assert!(are_consecutive(&after), "{after:?}");
     assert!(emulator.log().iter().any(|line| line.line.starts_with(b"MD0100058001000")));
@@ -211,6 +213,9 @@ async fn a_stream_ends_with_its_last_reader() {
         let bytes = sensor.stats().bytes_skipped;
         sleep(Duration::from_secs(1)).await;
         assert_eq!(sensor.stats().bytes_skipped, bytes, "{rate}");
+        // Meanwhile no scan was wanted.
+        next(&mut sensor.scans(Window::DETECTION, rate).await.unwrap()).await;
+        assert_eq!(sensor.stats().lost, 0, "{rate}");
     }
 }
 
@@ -220,7 +225,8 @@ async fn the_fastest_rate_sets_how_many_scans_are_sent() {
     let sensor = builder().connect(emulator.clone()).await.unwrap();
     let mut slow = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     next(&mut slow).await;
-    assert_eq!(count(&emulator, "MD0000108001300"), 1);
+    sensor.scan(Window::DETECTION).await.unwrap();
+    assert_eq!((count(&emulator, "MD0000108001300"), count(&emulator, "MD")), (1, 1));
     let mut fast = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
     assert!(are_consecutive(&revolutions(&mut fast, 40).await));
     assert_eq!(count(&emulator, "MD0000108001000"), 1);

@@ -127,6 +127,8 @@ impl Scip2<'_> {
     pub(super) fn latency(&self, command: &Command) -> Duration {
         let usual = match command {
             Command::Latest { .. } => Duration::from_millis(500),
+            // A caller waits for the driver's end.
+            Command::LaserOff if self.line.shared.is_closing() => Duration::from_millis(500),
             // The second must follow within a second.
             Command::Reboot => Duration::from_millis(400),
             _ => Duration::from_secs(1),

@@ -242,10 +242,13 @@ impl Scip2<'_> {
                     ExchangeError::Command(refusal(&Command::Reboot, status))
                 }
                 Err(ExchangeError::Link(_)) if was_alive => return Ok(()),
-                Err(failure) if failure.is_lost_reply() => {
+                Err(failure) if failure.is_lost_reply() && !self.line.shared.is_closing() => {
                     if tries == 0 {
                         // Until it restarts, it answers.
                         self.await_restart().await;
+                    }
+                    if self.line.shared.is_closing() {
+                        return Err(failure);
                     }
                     let probe = self.probe_once(self.latency(&Command::Reboot)).await;
                     if was_alive && probe.is_err() {
@@ -256,7 +259,7 @@ impl Scip2<'_> {
                 }
                 Err(failure) => return Err(failure),
             };
-            if tries == 0 || self.line.shared.is_closing() {
+            if tries == 0 {
                 return Err(failure);
             }
         }
