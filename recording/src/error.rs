@@ -115,7 +115,7 @@ pub enum RecordingError {
     #[error(
         "no scan in this recording: expected replies of a sensor, or sensor_msgs/msg/LaserScan of a URG on the topic /scan{}{}",
         listed(left_out),
-        others(topics)
+        instead(left_out, topics, others)
     )]
     NoScans {
         /// Messages that were read and are no scan.
@@ -123,6 +123,8 @@ pub enum RecordingError {
         /// Other topics with laser scans, at most 16: [`Recording::topic`](super::Recording::topic)
         /// reads them.
         topics: Vec<String>,
+        /// Topics with messages of other types, at most 16: `/tf (tf2_msgs/msg/TFMessage)`.
+        others: Vec<String>,
     },
 }
 
@@ -148,9 +150,12 @@ impl RecordingError {
 #[error("the file {0} by another program")]
 pub(super) struct FileGone(pub(super) &'static str);
 
-fn others(topics: &[String]) -> String {
+/// Says what else the file has, if that is the reason.
+fn instead(left_out: &[LeftOut], topics: &[String], others: &[String]) -> String {
+    let others = others.join(", ");
     match topics {
-        [] => String::new(),
+        [] if others.is_empty() || !left_out.is_empty() => String::new(),
+        [] => format!("; found {others}: record the scans with `ros2 bag record --storage mcap`"),
         topics => format!("; choose a topic: {}", topics.join(", ")),
     }
 }

@@ -54,25 +54,22 @@ impl LeftOutReason {
         matches!(self, Self::OtherTopic | Self::OtherRequest)
     }
 
-    /// The messages in words: one of them, or several.
-    fn words(self) -> [&'static str; 2] {
+    /// What one message is called, and why it was left out.
+    fn words(self) -> &'static str {
         match self {
-            Self::OtherWindow => ["scan of another window", "scans of another window"],
-            Self::OtherLaser => ["scan of another laser scanner", "scans of other laser scanners"],
-            Self::Malformed => {
-                ["message cut short or malformed", "messages cut short or malformed"]
-            }
+            Self::OtherWindow => "scan of another window",
+            Self::OtherLaser => "scan of another laser scanner",
+            Self::Malformed => "message cut short or malformed",
             // Only the description of their bag, in its folder, tells that they are compressed.
-            Self::Compressed => [
-                "message that `rosbags-convert --src FOLDER --dst OTHER --dst-storage mcap` decompresses",
-                "messages that `rosbags-convert --src FOLDER --dst OTHER --dst-storage mcap` decompresses",
-            ],
-            Self::Ros1 => ["message of ROS 1", "messages of ROS 1"],
-            Self::OtherEncoding => ["message in another encoding", "messages in another encoding"],
-            Self::OtherType => ["message of another type", "messages of another type"],
-            Self::FailedPoll => ["refused or malformed reply", "refused or malformed replies"],
-            Self::OtherTopic => ["scan on another topic", "scans on other topics"],
-            Self::OtherRequest => ["reply to another request", "replies to other requests"],
+            Self::Compressed => {
+                "message that `rosbags-convert --src FOLDER --dst OTHER --dst-storage mcap` decompresses"
+            }
+            Self::Ros1 => "message of ROS 1, whose bag `rosbags-convert` converts",
+            Self::OtherEncoding => "message in another encoding",
+            Self::OtherType => "message of another type",
+            Self::FailedPoll => "poll refused, or with a malformed reply",
+            Self::OtherTopic => "scan on another topic",
+            Self::OtherRequest => "answer to another request",
         }
     }
 }
@@ -80,10 +77,10 @@ impl LeftOutReason {
 impl fmt::Display for LeftOut {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { reason, messages, first } = self;
-        let [one, several] = reason.words();
+        let (what, why) = reason.words().split_once(' ').unwrap_or_default();
         match messages {
-            1 => write!(f, "1 {one} ({first})"),
-            _ => write!(f, "{messages} {several} (the first: {first})"),
+            1 => write!(f, "1 {what} {why} ({first})"),
+            _ => write!(f, "{messages} {what}s {why} (the first: {first})"),
         }
     }
 }

@@ -34,7 +34,7 @@ fn topic(channel: &Channel<'_>) -> (Option<Topic>, Result<Topic, (LeftOutReason,
     let is_own = channel.schema.map_or(known.is_some(), |name| topic.message_type().is_named(name));
     let shown = |text: &str| text.escape_default().take(MAX_NAME_BYTES).collect();
     let topic = match channel.encoding {
-        _ if !is_own => Err((LeftOutReason::OtherType, shown(channel.schema.unwrap_or_default()))),
+        _ if !is_own => Err((LeftOutReason::OtherType, shown(channel.schema.unwrap_or("no type")))),
         "cdr" => Ok(topic),
         "ros1" => Err((LeftOutReason::Ros1, String::new())),
         encoding => Err((LeftOutReason::OtherEncoding, shown(encoding))),

@@ -24,7 +24,7 @@ use tokio_scip::{Rate, Window};
 /// them stay in memory, so the search also stops after this many bytes of records.
 const METADATA_SEARCH_RECORDS: usize = 256;
 const METADATA_SEARCH_BYTES: usize = 1 << 20;
-/// Number of other topics to name.
+/// Number of other topics to name, of each kind.
 const MAX_OTHER_TOPICS: usize = 16;
 
 /// Iterates over the records of a recording, in file order.
@@ -62,8 +62,9 @@ pub struct Recording {
     times: Option<RangeInclusive<u64>>,
     /// Topic to read instead of `/scan`.
     topic: Option<Arc<str>>,
-    /// Other topics with laser scans.
+    /// Other topics with laser scans, and types of those with other messages.
     other_topics: BTreeSet<Arc<str>>,
+    other_types: BTreeMap<Arc<str>, String>,
     pub(super) left_out: LeftOutCounter,
 }
 
@@ -107,6 +108,7 @@ impl Recording {
             times: None,
             topic: None,
             other_topics: BTreeSet::new(),
+            other_types: BTreeMap::new(),
             left_out: LeftOutCounter::default(),
         };
         let (mut messages, mut damaged) = (0, 0);
@@ -213,23 +215,24 @@ impl Recording {
         self.left_out.clone()
     }
 
-    /// Reports that there was no scan, and on which topics there are others.
+    /// Reports that there was no scan, and what there is instead.
     pub(super) fn no_scans(&self) -> RecordingError {
         let topics = self.other_topics.iter().map(|topic| topic.to_string()).collect();
+        let types = self.other_types.iter();
+        let others = types.map(|(topic, name)| format!("{topic} ({name})")).collect();
         let mut left_out = self.left_out.counts();
         // The topics are named.
         left_out.retain(|count| count.reason != LeftOutReason::OtherTopic);
-        RecordingError::NoScans { left_out, topics }
+        RecordingError::NoScans { left_out, topics, others }
     }
 
-    /// Counts a scan on another topic, where `None` is `/scan`.
-    fn count_other_topic(&mut self, topic: Option<Arc<str>>, at: SystemTime) {
+    /// Counts a scan on another topic.
+    fn count_other_topic(&mut self, topic: Arc<str>, at: SystemTime) {
         if self.range.contains(at) {
-            let name = topic.as_deref().unwrap_or(Topic::Scans.name());
-            self.left_out.add(LeftOutReason::OtherTopic, name);
+            self.left_out.add(LeftOutReason::OtherTopic, &topic);
         }
         if self.other_topics.len() < MAX_OTHER_TOPICS {
-            self.other_topics.extend(topic);
+            self.other_topics.insert(topic);
         }
     }
 
@@ -240,10 +243,12 @@ impl Recording {
                 let separator = if details.is_empty() { "" } else { ", " };
                 self.left_out.add(reason, format_args!("{name}{separator}{details}"));
             }
-        } else if reason != LeftOutReason::OtherType
-            && (topic.is_some() || *name == *Topic::Scans.name())
-        {
-            self.count_other_topic(topic, at);
+        } else if reason == LeftOutReason::OtherType {
+            if self.other_types.len() < MAX_OTHER_TOPICS {
+                self.other_types.insert(name, details);
+            }
+        } else if topic.is_some() || *name == *Topic::Scans.name() {
+            self.count_other_topic(name, at);
         }
     }
 
@@ -291,7 +296,8 @@ impl Recording {
             if record.topic != self.topic {
                 // The replies and events of a recording are no scans.
                 if matches!(record.entry, Entry::Scan(_)) {
-                    self.count_other_topic(record.topic, record.at);
+                    let name = record.topic.unwrap_or_else(|| Topic::Scans.name().into());
+                    self.count_other_topic(name, record.at);
                 }
                 continue;
             }

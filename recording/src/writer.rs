@@ -222,7 +222,7 @@ impl Writer {
     /// Continues in a further file with the open chunk, which this file has no room for.
     fn outgrow(&mut self) -> io::Result<()> {
         let records = self.mcap.take_records();
-        self.parts.stay_below(self.mcap.written());
+        self.parts.stay_below(self.mcap.offset);
         let began = self.chunk_began.map(|(began, _)| began).or(self.part.began);
         self.start_next_part(began.unwrap_or_default())?;
         // The chunk may have events.

@@ -60,7 +60,7 @@ async fn refused_and_malformed_replies_are_skipped() {
     assert!(scans.next().is_none() && !scans.recording().is_truncated());
     let left_out = scans.recording().left_out().counts();
     let text: Vec<_> = left_out.iter().map(ToString::to_string).collect();
-    assert_eq!(text, ["2 refused or malformed replies (the first: steps 44..=725)"]);
+    assert_eq!(text, ["2 polls refused, or with a malformed reply (the first: steps 44..=725)"]);
     assert_eq!(left_out[0].reason, LeftOutReason::FailedPoll);
 }
 

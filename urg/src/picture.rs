@@ -61,11 +61,13 @@ impl PictureArgs {
         let mut sources = Vec::new();
         for PlacedPort { named: NamedPort { name, port }, pose } in self.ports.iter().cloned() {
             let (port, rate) = PortArg { name: Some(port) }.polled_at(self.rate).await?;
-            let window = self.window.window(port.default_window())?;
-            sources.push(PictureSource { name, port, pose, window, rate });
+            sources.push(PictureSource { name, port, pose, window: Window::DETECTION, rate });
         }
         let ports = sources.iter_mut().map(|source| &mut source.port);
         self.playback.apply(ports, self.rate.is_some())?;
+        for source in &mut sources {
+            source.window = self.window.window(source.port.default_window())?;
+        }
         Ok(sources)
     }
 }

@@ -2,15 +2,15 @@
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
 use mcap::records::MessageHeader;
-use serde_json::Value;
+use serde_json::{Value, json};
 use tokio_scip::{Rate, Scan, Sensor, Window};
 use urg_emulator::Emulator;
 use urg_recording::{Recorder, ros};
 
-use super::formats::scans;
+use super::formats::{self, scans, values};
 use super::program::{Scratch, failure, run};
 
 /// Message of a bag.
@@ -33,7 +33,8 @@ fn of_frame(window: Window, frame: &str, tenth: u64, stamp: Duration) -> Message
     Message { topic: "/scan", log_time: Duration::from_millis(100 * tenth), data }
 }
 
-/// Writes a bag. `/old/scan` is of ROS 1, and `rt/scan` as DDS Recorder 1.5.3 writes it.
+/// Writes a bag. `/old/scan` is of ROS 1, `rt/scan` as DDS Recorder 1.5.3 writes it, and `/viewed` as
+/// Foxglove's SDK does.
 fn write(file: &Scratch, messages: impl IntoIterator<Item = Message>) {
     let mut bag =
         mcap::WriteOptions::new().compression(None).create(Cursor::new(Vec::new())).unwrap();
@@ -44,6 +45,7 @@ fn write(file: &Scratch, messages: impl IntoIterator<Item = Message>) {
             let (name, encoding) = match message.topic {
                 "/old/scan" => ("sensor_msgs/LaserScan", "ros1"),
                 "rt/scan" => ("sensor_msgs::msg::dds_::LaserScan_", "cdr"),
+                "/viewed" => ("foxglove.LaserScan", "protobuf"),
                 _ => ("sensor_msgs/msg/LaserScan", "cdr"),
             };
             bag.add_schema_with_id(number, name, "ros2msg", b"").unwrap();
@@ -99,7 +101,7 @@ fn messages_that_are_no_scan_are_counted() {
     messages[9].data[1] = 9;
     messages[12].topic = "/rear/scan";
     write(&file, messages);
-    let laser = "2 scans of other laser scanners (the first: 682 points from -119.53° to 119.88° \
+    let laser = "2 scans of another laser scanner (the first: 682 points from -119.53° to 119.88° \
                  every 0.250°)";
     let others = "1 message cut short or malformed (/scan, 1000 bytes); \
                   1 message in another encoding (/scan, CDR header 00 09)";
@@ -128,13 +130,59 @@ fn a_bag_without_a_scan_is_named_for_what_it_is() {
     write(&file, (0..5).map(of_other_laser));
     for command in ["info", "check", "stream", "scan", "serve"] {
         let line = failure(&format!("{command} {}", file.path()));
-        assert!(line.contains("5 scans of other laser scanners"), "{command}: {line}");
+        assert!(line.contains("5 scans of another laser scanner"), "{command}: {line}");
     }
     write(&file, (0..5).map(|tenth| Message { topic: "/old/scan", ..scan(windows()[0], tenth) }));
     let line = failure(&format!("info {} --topic /old/scan", file.path()));
-    assert!(line.contains("5 messages of ROS 1 (the first: /old/scan)"), "{line}");
+    assert!(
+        line.contains(
+            "5 messages of ROS 1, whose bag `rosbags-convert` converts (the first: /old/scan)"
+        ),
+        "{line}"
+    );
     let line = failure(&format!("info {}", file.path()));
     assert!(line.ends_with("; choose a topic: /old/scan\n"), "{line}");
+    write(&file, (0..5).map(|tenth| Message { topic: "/viewed", ..scan(windows()[0], tenth) }));
+    let found = "; found /viewed (foxglove.LaserScan): record the scans with `ros2 bag record \
+                 --storage mcap`\n";
+    for command in ["info", "check", "stream", "scan", "serve"] {
+        let line = failure(&format!("{command} {}", file.path()));
+        assert!(line.ends_with(found), "{command}: {line}");
+    }
+    let line = failure(&format!("info {} --topic /viewed", file.path()));
+    assert!(
+        line.ends_with("; 5 messages of another type (the first: /viewed, foxglove.LaserScan)\n")
+    );
+    // The scans of `/scan` are there to choose.
+    write(&file, (0..5).map(|tenth| scan(windows()[0], tenth)));
+    let line = failure(&format!("info {} --topic /other", file.path()));
+    assert!(line.ends_with("; choose a topic: /scan\n"), "{line}");
+}
+
+#[test]
+fn a_bag_is_streamed_with_its_window_and_pace() {
+    let file = Scratch::mcap("pace");
+    let (window, pace) = (Window::new(100..=400).unwrap(), Duration::from_millis(10));
+    let paced = |n| Message { log_time: pace * n as u32, ..scan(window, n) };
+    write(&file, (0..60).map(paced).chain([Message { topic: "/old/scan", ..paced(60) }]));
+    let began = Instant::now();
+    let streamed = run(&format!("stream {} --format ndjson", file.path()), 0).stdout;
+    // At the rate of a sensor, 10 Hz, it would take 6 s.
+    assert!(began.elapsed() < Duration::from_secs(5), "{:?}", began.elapsed());
+    let scan = run(&format!("scan {} --format json", file.path()), 0).stdout;
+    let scans = scans(&(streamed + &scan));
+    assert_eq!(scans.len(), 61);
+    for scan in &scans {
+        assert_eq!((&scan["start"], &scan["end"]), (&json!(100), &json!(400)));
+        assert_eq!(values(scan).len(), window.points());
+    }
+    // The header has the time of the first ray.
+    for (scan, tenth) in scans.iter().zip(0..60) {
+        let first_ray = scan["first_ray"].as_f64().unwrap();
+        assert!((first_ray - f64::from(tenth) / 10.0).abs() < 1e-5, "{first_ray}: {tenth}");
+    }
+    let other = run(&format!("stream {} --from -10 --to 10 --rate max", file.path()), 0).stdout;
+    assert_ne!(scans[0]["start"], formats::scans(&other)[0]["start"]);
 }
 
 #[test]

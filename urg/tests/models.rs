@@ -307,7 +307,7 @@ fn a_recording_of_two_sensors_is_read_as_the_first() {
     }
     let text = run(&format!("info {both}"), 0).stdout;
     let left_out = text.lines().find_map(|row| row.strip_prefix("left out ")).unwrap().trim();
-    assert!(left_out.contains(" of other laser scanners"), "{left_out}");
+    assert!(left_out.contains(" of another laser scanner"), "{left_out}");
     for said in [&streamed.stderr, &run(&format!("check {both}"), 0).stdout] {
         assert!(said.contains(left_out), "{said}");
     }

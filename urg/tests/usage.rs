@@ -123,6 +123,9 @@ fn a_missing_port_is_asked_for() {
         let output = run(arguments, 2);
         assert!(output.stderr.starts_with("urg: which PORT?"), "{}", output.stderr);
     }
+    // The emulated sensor cannot restart.
+    let reboot = run("reboot", 2).stderr;
+    assert!(reboot.contains("Try `urg reboot ") && !reboot.contains("emulated"), "{reboot}");
 }
 
 #[test]

@@ -10,7 +10,8 @@ use super::{
 /// Messages of a chunk: their times, and their positions among its records.
 #[derive(Default)]
 pub(super) struct ChunkMessages {
-    span: Option<(u64, u64)>,
+    /// Log times of the first and the last one.
+    pub(super) span: Option<(u64, u64)>,
     channels: BTreeMap<u16, Vec<[u64; 2]>>,
 }
 
@@ -44,11 +45,6 @@ impl ChunkMessages {
     pub(super) fn add(&mut self, header: MessageHeader, place: usize) {
         self.span = Some(extend(self.span, header.log_time, header.log_time));
         self.channels.entry(header.channel).or_default().push([header.log_time, place as u64]);
-    }
-
-    /// Log times of the first and the last message.
-    pub(super) fn span(&self) -> Option<(u64, u64)> {
-        self.span
     }
 
     /// Encodes the message indexes of a chunk, which begin at `start` in the file, and the place of

@@ -18,7 +18,7 @@ const CHUNK_BYTES: usize = 768 << 10;
 pub(crate) struct McapWriter<W> {
     pub(super) out: W,
     /// Number of bytes written.
-    offset: u64,
+    pub(crate) offset: u64,
     chunk: OpenChunk,
     compression: Compression,
     /// Record of the latest compressed chunk.
@@ -67,15 +67,10 @@ impl<W: Write> McapWriter<W> {
         self.compression = compression.max(self.compression);
     }
 
-    /// Number of bytes written.
-    pub(crate) fn written(&self) -> u64 {
-        self.offset
-    }
-
     /// Length of the file so far, including the open chunk without compression, or the definitions in
     /// it while it has no message.
     pub(crate) fn len(&self) -> u64 {
-        let head = self.chunk.messages.span().map_or(CHUNK_HEAD, |_| 0);
+        let head = self.chunk.messages.span.map_or(CHUNK_HEAD, |_| 0);
         self.offset + self.chunk.record.len().saturating_sub(head) as u64
     }
 
@@ -196,7 +191,7 @@ impl<W: Write> McapWriter<W> {
     /// chunk stays open. It also does without messages: such a chunk would have the time 0, and viewers
     /// begin a file with its earliest chunk.
     fn end_chunk(&mut self) -> io::Result<()> {
-        let Some((start, end)) = self.chunk.messages.span() else { return Ok(()) };
+        let Some((start, end)) = self.chunk.messages.span else { return Ok(()) };
         let mut chunk = std::mem::take(&mut self.chunk);
         let records = chunk.record.get(CHUNK_HEAD..).unwrap_or_default();
         let (size, crc) = (records.len(), crc32fast::hash(records));

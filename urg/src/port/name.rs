@@ -107,30 +107,29 @@ impl PortName {
 
     /// Limits a recording to `range`. A sensor has no range: usage error.
     pub(crate) fn restrict(&mut self, range: Option<TimeSpan>) -> Result<(), Failure> {
-        let Some(range) = range else { return Ok(()) };
         match self {
-            Self::Recording(recorded) => {
-                recorded.restrict(range);
-                Ok(())
+            Self::Recording(recorded) => recorded.range = range,
+            _ if range.is_none() => {}
+            sensor => {
+                return Err(Failure::Usage(format!(
+                    "--range is for a recording, FILE.mcap: {sensor} is a sensor, and --duration ends it"
+                )));
             }
-            Self::Endpoint(..) | Self::Emulated(_) => Err(Failure::Usage(format!(
-                "--range is for a recording, FILE.mcap: {self} is a sensor, and --duration ends it"
-            ))),
         }
+        Ok(())
     }
 
     /// Reads the scans of this topic from a recording. A sensor has no topic: usage error.
     pub(crate) fn choose_topic(&mut self, args: &TopicArgs) -> Result<(), Failure> {
-        match (self, &args.topic) {
-            (_, None) => Ok(()),
-            (Self::Recording(recorded), Some(topic)) => {
-                recorded.choose_topic(topic);
-                Ok(())
+        match self {
+            Self::Recording(recorded) => recorded.topic.clone_from(&args.topic),
+            _ if args.topic.is_none() => {}
+            sensor => {
+                let text = format!("--topic is for a recording, FILE.mcap: {sensor} is a sensor");
+                return Err(Failure::Usage(text));
             }
-            (sensor, Some(_)) => Err(Failure::Usage(format!(
-                "--topic is for a recording, FILE.mcap: {sensor} is a sensor"
-            ))),
         }
+        Ok(())
     }
 
     /// Fails for a recording, which answers but has nothing to switch: usage error.
@@ -161,11 +160,11 @@ impl PortArg {
     /// Resolves the port and its rate: `rate`, else the recorded rate, else the default.
     pub(crate) async fn polled_at(&self, rate: Option<Rate>) -> Result<(PortName, Rate), Failure> {
         let mut port = self.required().await?;
-        let recorded = match &mut port {
+        let rate = match &mut port {
             PortName::Recording(recorded) => recorded.set_pace(rate),
-            PortName::Endpoint(..) | PortName::Emulated(_) => None,
+            PortName::Endpoint(..) | PortName::Emulated(_) => rate.unwrap_or(DEFAULT_RATE),
         };
-        Ok((port, rate.or(recorded).unwrap_or(DEFAULT_RATE)))
+        Ok((port, rate))
     }
 }
 
@@ -175,7 +174,9 @@ pub(crate) async fn missing_port() -> Failure {
     let likely = ports.iter().filter(|port| port.likely_sensor);
     let likely: Vec<_> = likely.map(|port| port.path.as_str()).collect();
     let mut words: Vec<_> = std::env::args_os().skip(1).collect();
-    let example = likely.first().unwrap_or(&"emulated");
+    // The emulated sensor speaks SCIP 1.1, which cannot restart it.
+    let is_reboot = words.first().is_some_and(|command| command == "reboot");
+    let example = likely.first().unwrap_or(if is_reboot { &"tcp://HOST" } else { &"emulated" });
     words.insert(words.len().min(1), example.into());
     let found = match likely.as_slice() {
         [] => "No serial port here is a likely sensor".to_owned(),

@@ -13,7 +13,7 @@ use std::time::Duration;
 use parking_lot::Mutex;
 use tokio::sync::watch;
 use tokio_scip::port::Connect;
-use tokio_scip::{Driver, Error, Rate, Sensor, SensorBuilder, Window};
+use tokio_scip::{Driver, Error, Rate, Scan, Sensor, SensorBuilder, Window};
 use urg_emulator::Emulator;
 use urg_recording::{
     LeftOut, LeftOutCounter, Recording, RecordingError, ReplayPace, recording_files,
@@ -29,7 +29,7 @@ const MAX_SCANS_AHEAD: u64 = 256;
 /// A pipe may have no scan for as long as this: its sensor is away.
 const PIPE_PATIENCE: Duration = Duration::from_secs(24 * 60 * 60);
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Recorded {
     path: PathBuf,
     /// Standard input, once it is opened and until it is read. `None` for a file.
@@ -38,9 +38,9 @@ pub(crate) struct Recorded {
     rate: Option<Rate>,
     pace: ReplayPace,
     /// Part to read; `None` means all of it.
-    range: Option<TimeSpan>,
+    pub(crate) range: Option<TimeSpan>,
     /// Topic of the scans; `None` means `/scan`.
-    topic: Option<String>,
+    pub(crate) topic: Option<String>,
     /// Number of scans that feeds have yielded.
     consumed: Arc<watch::Sender<u64>>,
     /// What the latest replay has left out.
@@ -59,13 +59,7 @@ impl Recorded {
         (is_stdin || Self::is_name(path) || is_other()).then(|| Self {
             path: path.to_owned(),
             stdin: is_stdin.then(Arc::default),
-            window: None,
-            rate: None,
-            pace: ReplayPace::Recorded,
-            range: None,
-            topic: None,
-            consumed: Arc::default(),
-            left_out: Arc::default(),
+            ..Self::default()
         })
     }
 
@@ -93,11 +87,10 @@ impl Recorded {
             None => here.open(),
         });
         let recording = opened.await.map_err(|error| self.failure(&error))??;
-        (self.window, self.rate) = (recording.window(), recording.rate());
+        self.window = recording.window();
         // The scans of a stream come as the motor turns: polls at the rate that was asked for fall behind.
-        if recording.metadata().contains_key("ARES") {
-            self.rate = Some(Rate::UNLIMITED);
-        }
+        let is_streamed = recording.metadata().contains_key("ARES");
+        self.rate = recording.rate().filter(|_| !is_streamed);
         if let Some(stdin) = &self.stdin {
             *stdin.lock() = Some(recording);
         }
@@ -116,27 +109,25 @@ impl Recorded {
         }
     }
 
-    pub(crate) fn restrict(&mut self, range: TimeSpan) {
-        self.range = Some(range);
-    }
-
-    pub(crate) fn choose_topic(&mut self, topic: &str) {
-        self.topic = Some(topic.to_owned());
-    }
-
     pub(crate) fn topic(&self) -> &str {
         self.topic.as_deref().unwrap_or("/scan")
     }
 
+    /// Window of the stream that the recording describes: that of `urg record`, on `/scan`.
+    pub(super) fn described(&self) -> Option<Window> {
+        self.window.filter(|_| self.topic() == "/scan")
+    }
+
+    /// Window of the described stream, or else of the first scan.
     pub(crate) fn window(&self) -> Option<Window> {
-        self.window
+        self.described().or_else(|| Some(self.first_scan()?.window()))
     }
 
     /// Sets the pace: as fast as possible if you pass a `rate`, else the recorded pace. Returns
-    /// the rate to poll at, if the file has one.
-    pub(crate) fn set_pace(&mut self, rate: Option<Rate>) -> Option<Rate> {
+    /// the rate to poll at: `rate`, else the recorded one. Another program does not tell its own.
+    pub(crate) fn set_pace(&mut self, rate: Option<Rate>) -> Rate {
         self.pace = rate.map_or(ReplayPace::Recorded, |_| ReplayPace::Max);
-        self.rate
+        rate.or(self.rate).unwrap_or(Rate::UNLIMITED)
     }
 
     pub(crate) async fn contents(&self) -> Result<Contents, Failure> {
@@ -183,8 +174,12 @@ impl Recorded {
 
     /// Returns true if the first scan has intensities, or cannot be read twice.
     pub(crate) fn may_have_intensities(&self) -> bool {
-        let first = || self.open().ok()?.scans().find_map(Result::ok);
-        self.stdin.is_some() || first().is_some_and(|scan| scan.intensities().is_some())
+        self.stdin.is_some() || self.first_scan().is_some_and(|scan| scan.intensities().is_some())
+    }
+
+    /// Reads the first scan of a file. Standard input cannot be read twice.
+    fn first_scan(&self) -> Option<Scan> {
+        self.stdin.is_none().then(|| self.open().ok())??.scans().find_map(Result::ok)
     }
 
     /// Describes what a replay has left out of the stream, if anything.
@@ -231,7 +226,7 @@ impl Recorded {
     /// Describes an error at the first scan. The range may contain no scan.
     pub(super) fn no_scans(&self, error: &RecordingError) -> Failure {
         match (self.range, error) {
-            (Some(range), RecordingError::NoScans { left_out, topics })
+            (Some(range), RecordingError::NoScans { left_out, topics, .. })
                 if self.stdin.is_none() && topics.is_empty() && left_out.is_empty() =>
             {
                 Failure::Failed(format!(

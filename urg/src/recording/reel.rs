@@ -44,8 +44,9 @@ impl Reel {
             positions.push(scans.position());
         }
         if positions.is_empty() {
-            let (left_out, topics) = (scans.recording().left_out().counts(), Vec::new());
-            return Err(recorded.no_scans(&RecordingError::NoScans { left_out, topics }));
+            let left_out = scans.recording().left_out().counts();
+            let (topics, others) = (Vec::new(), Vec::new());
+            return Err(recorded.no_scans(&RecordingError::NoScans { left_out, topics, others }));
         }
         let version = scans.version();
         let scans = recorded.open()?.scans();
@@ -105,7 +106,7 @@ impl Reel {
         self.kept.clear();
         // Positions identify scans only if they never decrease. Without a recorded window, the
         // file's first poll selects the stream. In both cases, start over.
-        if !self.positions.is_sorted() || self.recorded.window().is_none() {
+        if !self.positions.is_sorted() || self.recorded.described().is_none() {
             (self.scans, self.next) = (self.recorded.open()?.scans(), 0);
             return Ok(());
         }
