@@ -59,10 +59,9 @@ impl Info {
             }
             None => {
                 let sensor = open(&port, &self.link, Delivery::Newest).await?;
-                let identity = async { Ok((sensor.version().await?, sensor.geometry().await?)) };
-                let (version, geometry) = identity
-                    .await
-                    .map_err(|error: tokio_scip::Error| Failure::at(&port, &error))?;
+                let failed = |error| Failure::at(&port, &error);
+                let version = sensor.version().await.map_err(failed)?;
+                let geometry = sensor.geometry().await.map_err(failed)?;
                 let rows = match sensor.sensor_state().await {
                     Ok(state) => state.map(|state| state_rows(&state).into()).unwrap_or_default(),
                     Err(error) => vec![("state", Value::Null, chain(&error))],
@@ -191,11 +190,9 @@ fn window(geometry: &Geometry) -> String {
 }
 
 fn motor(rpm: f64) -> String {
-    format!(
-        "{rpm:.0} rpm nominal: {} revolutions, and so scans, a second; \
-         urg check polls, and measures it",
-        (rpm / 6.0).round() / 10.0
-    )
+    let rate = (rpm / 6.0).round() / 10.0;
+    let text = format!("{rpm:.0} rpm nominal: {rate} revolutions, and so scans, a second; ");
+    text + "urg check polls, and measures it"
 }
 
 fn baud_rate_text(port: &PortName, baud_rate: &Speed) -> String {

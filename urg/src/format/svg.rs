@@ -186,12 +186,8 @@ impl Paper {
             let band = shade.unwrap_or_else(|| band(point.range));
             writeln!(out, r#"<circle class="d{band}" cx="{x:.2}" cy="{y:.2}" r="0.45"/>"#)?;
         }
-        let (x, y) = (self.x, self.y);
-        let arrow = "M0 -1.9L1.4 1.4H-1.4Z";
-        writeln!(
-            out,
-            r#"<path class="sensor" transform="translate({x:.2} {y:.2})" d="{arrow}"/>"#
-        )?;
+        let place = format!("translate({:.2} {:.2})", self.x, self.y);
+        writeln!(out, r#"<path class="sensor" transform="{place}" d="M0 -1.9L1.4 1.4H-1.4Z"/>"#)?;
         let Some(nearest) = scan.nearest() else { return Ok(()) };
         let (x, y) = self.at(plot::place(nearest.range.into(), nearest.angle.into()));
         writeln!(out, r#"<circle class="nearest" cx="{x:.2}" cy="{y:.2}" r="1.8"/>"#)?;

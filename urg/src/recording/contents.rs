@@ -81,7 +81,6 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
             Err(error) => return Err(error),
         }
     }
-    let complete = !recorded.recording().is_truncated() && damaged_at.is_empty();
     let left_out = recorded.recording().left_out().counts();
     let ScanTimes { scans, gaps, clock_steps, .. } = &mut times;
     if stamps.stands() || log_times.stands() {
@@ -98,16 +97,12 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
         let parts = counted(damaged_at.len() as u64, "damaged part");
         end.push(format!("{parts} left out, the first at byte {first}"));
     }
-    let end = match complete {
-        true => "yes".to_owned(),
-        false => {
-            let end = end.join("; ");
-            let file = path.unwrap_or(Path::new("- whole.mcap")).display();
-            format!(
-                "no: {end}; all the rest is above; `urg repair {file}` makes a complete file of it"
-            )
-        }
-    };
+    let complete = end.is_empty();
+    if !complete {
+        let file = path.unwrap_or(Path::new("- whole.mcap")).display();
+        end.push(format!("all the rest is above; `urg repair {file}` makes a complete file of it"));
+    }
+    let end = if complete { "yes".to_owned() } else { format!("no: {}", end.join("; ")) };
     let mut rows = vec![
         ("scans", json!(scans), format!("{scans}{asked}{intensities}")),
         left_out_row(&left_out),
@@ -183,11 +178,8 @@ fn compression_row(bytes: &ChunkBytes) -> Row {
         [] => "none".to_owned(),
         _ => {
             let share = 100.0 * *stored as f64 / (*plain).max(1) as f64;
-            format!(
-                "{}, to {share:.0} % of {:.1}",
-                names.join(" and "),
-                ByteSize(*plain).display().si()
-            )
+            let (names, plain) = (names.join(" and "), ByteSize(*plain).display().si());
+            format!("{names}, to {share:.0} % of {plain:.1}")
         }
     };
     ("compression", json!({ "names": names, "bytes": stored, "plain_bytes": plain }), text)

@@ -134,10 +134,8 @@ impl Recorded {
         let recording = self.open()?;
         let path = self.stdin.is_none().then(|| self.path.clone());
         let read = tokio::task::spawn_blocking(move || contents::read(path.as_deref(), recording));
-        match read.await {
-            Ok(contents) => contents.map_err(|error| self.failure(&error)),
-            Err(error) => Err(self.failure(&error)),
-        }
+        let contents = read.await.map_err(|error| self.failure(&error))?;
+        contents.map_err(|error| self.failure(&error))
     }
 
     /// Starts the replay. With [`Delivery::All`], the replay waits for a slow consumer.
@@ -267,9 +265,8 @@ impl Connect for PipeReplay {
             return Err(failed(io::ErrorKind::UnexpectedEof.into()));
         };
         // Blocks, which is all right on a thread of its own.
-        let emulator = recording.replay(pace).map_err(|error| failed(io::Error::other(error)))?;
-        let mut emulator = emulator;
-        emulator.connect().await
+        let emulator = recording.replay(pace).map_err(|error| failed(io::Error::other(error)));
+        emulator?.connect().await
     }
 }
 
@@ -290,20 +287,13 @@ async fn run(
     loop {
         let enough = sensor.stats().scans.saturating_sub(MAX_SCANS_AHEAD);
         // Fails after the last consumer is dropped.
-        let Ok(seen) =
-            consumed.wait_for(|consumed| *consumed >= enough).await.map(|consumed| *consumed)
-        else {
+        let Ok(seen) = consumed.wait_for(|seen| *seen >= enough).await.map(|seen| *seen) else {
             return;
         };
-        let ended = poll_fn(|cx| {
-            if driver.as_mut().poll(cx).is_ready() {
-                return Poll::Ready(true);
-            }
-            if sensor.stats().scans > seen + MAX_SCANS_AHEAD {
-                Poll::Ready(false)
-            } else {
-                Poll::Pending
-            }
+        let ended = poll_fn(|cx| match driver.as_mut().poll(cx) {
+            Poll::Ready(_) => Poll::Ready(true),
+            Poll::Pending if sensor.stats().scans > seen + MAX_SCANS_AHEAD => Poll::Ready(false),
+            Poll::Pending => Poll::Pending,
         });
         if ended.await {
             return;

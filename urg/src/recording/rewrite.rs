@@ -69,9 +69,8 @@ fn write<T>(
     copy: impl FnOnce(Vec<File>, &mut dyn Write) -> Result<T, RecordingError>,
 ) -> Result<T, Failure> {
     // A folder has several.
-    let files =
-        files.iter().map(|file| recording_files(file).map_err(|error| failure(file, &error)));
-    let files = files.collect::<Result<Vec<_>, _>>()?.concat();
+    let listed = |file: &PathBuf| recording_files(file).map_err(|error| failure(file, &error));
+    let files = files.iter().map(listed).collect::<Result<Vec<_>, _>>()?.concat();
     let inputs = files.iter().map(|file| open(file)).collect::<Result<_, _>>()?;
     let written = match &output {
         Some(file) => buffered(file, |output| copy(inputs, output))

@@ -175,14 +175,10 @@ mod tests {
         assert_eq!(described(1_200.0, 60, |_| 1), "0.12 % fast");
         assert_eq!(described(-1_200.0, 60, |_| 1), "0.12 % slow");
         // Busy from half of the time on, and stopped for 5 s.
-        assert_eq!(
-            described(-400.0, 60, |number| if number < 1200 { 1 } else { 7 * (number % 5) }),
-            "0.04 % slow"
-        );
-        assert_eq!(
-            described(500.0, 60, |number| 5_000_u32.saturating_sub(25 * (number % 1000))),
-            "0.05 % fast"
-        );
+        let busy = |number| if number < 1200 { 1 } else { 7 * (number % 5) };
+        assert_eq!(described(-400.0, 60, busy), "0.04 % slow");
+        let stopped = |number| 5_000_u32.saturating_sub(25 * (number % 1000));
+        assert_eq!(described(500.0, 60, stopped), "0.05 % fast");
         assert_eq!(described(500.0, 9, |_| 1), "its drift needs 10 s without a jump");
         // Through a wrap.
         assert_eq!(described(500.0, 17_000, |_| 1), "0.05 % fast");

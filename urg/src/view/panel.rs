@@ -151,18 +151,15 @@ impl Panel<'_> {
 
     fn rate(&self) -> Line<'static> {
         let Some(pace) = self.layer.pace() else { return self.row("rate", "-") };
-        let asked = pace.rate.period().map(|period| 1.0 / period.as_secs_f64());
-        let of = match asked {
-            Some(asked) => format!("of {} Hz", (asked * 10.0).round() / 10.0),
+        let of = match pace.rate.period() {
+            Some(period) => format!("of {} Hz", (10.0 / period.as_secs_f64()).round() / 10.0),
             None => "Hz (max)".to_owned(),
         };
         let Some(reached) = self.layer.reached() else {
             return self.row("rate", format!("- {of}"));
         };
-        let style = match pace.rate.is_reached_by(reached) {
-            true => Style::new(),
-            false => self.palette.poor(),
-        };
+        let is_reached = pace.rate.is_reached_by(reached);
+        let style = if is_reached { Style::new() } else { self.palette.poor() };
         self.styled("rate", format!("{reached:.1} {of}"), style)
     }
 

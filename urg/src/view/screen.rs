@@ -57,13 +57,10 @@ impl Screen {
 
     /// Takes over the terminal. The current runtime runs the task that writes frames.
     pub(crate) fn take() -> Result<Self, Failure> {
-        Self::take_over().map_err(cannot_draw)
-    }
-
-    fn take_over() -> io::Result<Self> {
-        let taken = Taken::now()?;
+        let taken = Taken::now().map_err(cannot_draw)?;
         let bytes = FrameBuffer::default();
-        let terminal = Terminal::new(CrosstermBackend::new(bytes.clone()))?;
+        let backend = CrosstermBackend::new(bytes.clone());
+        let terminal = Terminal::new(backend).map_err(cannot_draw)?;
         let (frames, receiver) = mpsc::channel(1);
         let writer = tokio::spawn(write(receiver));
         Ok(Self { terminal, bytes, frames, writer, taken })
@@ -184,11 +181,7 @@ fn cannot_draw(error: io::Error) -> Failure {
 async fn write(mut frames: mpsc::Receiver<Vec<u8>>) {
     let mut stdout = tokio::io::stdout();
     while let Some(frame) = frames.recv().await {
-        let written = async {
-            stdout.write_all(&frame).await?;
-            stdout.flush().await
-        };
-        if written.await.is_err() {
+        if stdout.write_all(&frame).await.is_err() || stdout.flush().await.is_err() {
             return;
         }
     }

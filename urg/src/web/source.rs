@@ -51,12 +51,8 @@ impl SiteSource {
             Some(recorded) => SourceKind::Recording(Player::start(recorded, settings).await?),
             None => SourceKind::Sensor(Hub::new(Arc::clone(&picture))),
         };
-        Ok(Arc::new(Self {
-            picture,
-            kind,
-            newest: NewestLine::default(),
-            codes: ErrorCodes::default(),
-        }))
+        let (newest, codes) = (NewestLine::default(), ErrorCodes::default());
+        Ok(Arc::new(Self { picture, kind, newest, codes }))
     }
 
     /// Runs until the source ends permanently: a playback, when its file becomes unreadable.

@@ -28,6 +28,13 @@ fn seen(sight: Sight) -> Emulator {
     Emulator::builder().usb().world(world).build()
 }
 
+/// Sensor that sees one object, two metres ahead.
+fn ahead() -> Emulator {
+    let mut sight = [7; STEPS];
+    sight[384] = 2000;
+    seen(sight)
+}
+
 /// Source that is not recorded, with the default window and rate.
 fn source(port: &str) -> PictureSource {
     let PlacedPort { named: NamedPort { name, port }, pose } = port.parse().unwrap();
@@ -54,6 +61,23 @@ async fn watched(emulator: Emulator) -> Model {
     let mut model = model_for(&sensor).await;
     model.scanned(0, last.unwrap().unwrap());
     model
+}
+
+/// Unplugs a sensor, and shows it `seconds` later.
+async fn lose(
+    model: &mut Model,
+    number: usize,
+    emulator: &Emulator,
+    sensor: &Sensor,
+    seconds: u64,
+) {
+    emulator.unplug();
+    let mut state = sensor.watch_state();
+    let lost = state.wait_for(|state| matches!(state, State::Disconnected { .. })).await;
+    model.layers[number].state = lost.unwrap().clone();
+    if let State::Disconnected { since, .. } = &model.layers[number].state {
+        model.now = *since + Duration::from_secs(seconds);
+    }
 }
 
 /// Shows `count` scans of a sensor.
@@ -152,10 +176,7 @@ async fn a_narrow_screen_keeps_the_main_figures() {
 
 #[tokio::test(start_paused = true)]
 async fn a_point_is_where_it_was_measured() {
-    // One point two metres ahead, and no other points.
-    let mut sight = [7; STEPS];
-    sight[384] = 2000;
-    let mut model = watched(seen(sight)).await;
+    let mut model = watched(ahead()).await;
     let find = |model: &Model| {
         let rows = rows(model, 80, 24);
         let sensor = rows.iter().position(|row| row.contains('▲')).unwrap();
@@ -280,17 +301,12 @@ async fn a_lost_link_is_shown_as_long_as_it_lasts() {
     let mut model = model_for(&sensor).await;
     model.scanned(0, scan);
     assert!(screen(&model, 80, 24).contains("line    19200 baud"));
-    emulator.unplug();
-    let mut state = sensor.watch_state();
-    let lost = state.wait_for(|state| matches!(state, State::Disconnected { .. })).await;
-    model.layers[0].state = lost.unwrap().clone();
-    if let State::Disconnected { since, .. } = &model.layers[0].state {
-        model.now = *since + Duration::from_secs(12);
-    }
+    lose(&mut model, 0, &emulator, &sensor, 12).await;
     let lost = screen(&model, 80, 24);
     assert!(lost.contains("LOST for 12 s"), "{lost}");
     assert!(lost.contains("continues when the sensor is back"), "{lost}");
     emulator.plug_in();
+    let mut state = sensor.watch_state();
     let back = state.wait_for(|state| matches!(state, State::Connected { .. })).await;
     model.layers[0].state = back.unwrap().clone();
     assert!(screen(&model, 80, 24).contains("link    connected"));

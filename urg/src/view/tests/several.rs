@@ -8,13 +8,6 @@ use crate::plot::colours::{INTENSITIES, SENSORS, WEAK_SENSORS};
 use crate::view::Viewer;
 use crate::view::palette::Palette;
 
-/// Sensor that sees one object, two metres ahead.
-fn ahead() -> Emulator {
-    let mut sight = [7; STEPS];
-    sight[384] = 2000;
-    seen(sight)
-}
-
 /// Shows sensors with these names and poses after five seconds.
 async fn placed(sensors: &[(&str, Pose)]) -> Model {
     let mut layers = Vec::new();
@@ -33,13 +26,7 @@ fn pose(x: f64, y: f64, yaw: f64) -> Pose {
 async fn unplug(model: &mut Model, number: usize, seconds: u64) {
     let emulator = ahead();
     let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
-    emulator.unplug();
-    let mut state = sensor.watch_state();
-    let lost = state.wait_for(|state| matches!(state, State::Disconnected { .. })).await;
-    model.layers[number].state = lost.unwrap().clone();
-    if let State::Disconnected { since, .. } = &model.layers[number].state {
-        model.now = *since + Duration::from_secs(seconds);
-    }
+    lose(model, number, &emulator, &sensor, seconds).await;
 }
 
 async fn front_and_rear() -> Model {
@@ -47,9 +34,9 @@ async fn front_and_rear() -> Model {
 }
 
 /// Rows and columns of the radar's Braille cells in `color`.
-fn cells_in(model: &Model, color: Color, palette: Palette) -> Vec<(u16, u16)> {
+fn cells_in(model: &Model, color: Color) -> Vec<(u16, u16)> {
     let (width, height) = (80, 24);
-    let terminal = terminal(model, width, height, palette);
+    let terminal = terminal(model, width, height, Palette::Coloured);
     let buffer = terminal.backend().buffer();
     let is_own = |&(row, column): &(u16, u16)| {
         let cell = &buffer[(column, row)];
@@ -71,7 +58,7 @@ async fn each_sensor_has_its_colour_its_place_and_its_direction() {
     let model = front_and_rear().await;
     let (front, rear) = (place_of(&model, "▲1"), place_of(&model, "▼2"));
     let point = |number| {
-        let cells = cells_in(&model, Palette::Coloured.sensor(number), Palette::Coloured);
+        let cells = cells_in(&model, Palette::Coloured.sensor(number));
         assert_eq!(cells.len(), 1, "{number}: {cells:?}");
         cells[0]
     };
@@ -82,7 +69,7 @@ async fn each_sensor_has_its_colour_its_place_and_its_direction() {
     let across = placed(&[("a", pose(0.0, 3.0, -90.0)), ("b", pose(0.0, -3.0, 90.0))]).await;
     let (left, right) = (place_of(&across, "▶1"), place_of(&across, "◀2"));
     assert!(left.1 < right.1, "{left:?} {right:?}");
-    let seen = cells_in(&across, Palette::Coloured.sensor(0), Palette::Coloured);
+    let seen = cells_in(&across, Palette::Coloured.sensor(0));
     assert!(seen.iter().any(|cell| cell.1 > left.1 + 2), "{seen:?} {left:?}");
 }
 
@@ -105,9 +92,8 @@ async fn each_model_has_its_own_sector() {
             assert!(alone.contains(part), "{part:?} is missing in\n{alone}");
         }
         model.layers[0].pose = pose(0.0, 0.5, 0.0);
-        model
-            .layers
-            .push(Layer { pose: pose(0.0, -0.5, 0.0), ..watched(ahead()).await.layers.remove(0) });
+        let other = watched(ahead()).await.layers.remove(0);
+        model.layers.push(Layer { pose: pose(0.0, -0.5, 0.0), ..other });
         let beside = screen(&model, 120, 40);
         assert!(beside.contains("▲1") && beside.contains(ring), "{beside}");
         // The rim of the URG, and the sector around it, stay at 4.2 m.
@@ -135,8 +121,7 @@ async fn shaded() -> Model {
 
 #[tokio::test(start_paused = true)]
 async fn intensities_are_shades() {
-    let cells =
-        |model: &Model, index| cells_in(model, Color::Indexed(index), Palette::Coloured).len();
+    let cells = |model: &Model, index| cells_in(model, Color::Indexed(index)).len();
     let [weak, .., strong] = INTENSITIES.map(|colours| colours.indexed);
     let mut model = shaded().await;
     // The strong point is in sight, although later points fall into its cell.
@@ -216,22 +201,16 @@ async fn keys_act_on_the_selected_sensor() {
 #[tokio::test(start_paused = true)]
 async fn one_sensor_in_trouble_leaves_the_others_drawn() {
     let mut model = front_and_rear().await;
-    let own = |model: &Model| cells_in(model, Palette::Coloured.sensor(0), Palette::Coloured);
+    let own = |model: &Model| cells_in(model, Palette::Coloured.sensor(0));
     let before = own(&model);
     unplug(&mut model, 1, 12).await;
     let lost = screen(&model, 80, 24);
-    assert!(lost.contains("2 rear  LOST for 12 s"), "{lost}");
-    assert!(
-        lost.contains(" rear: ") && lost.contains("continues when the sensor is back"),
-        "{lost}"
-    );
-    assert!(lost.contains("1 front  connected"), "{lost}");
+    let trouble = ["2 rear  LOST for 12 s", " rear: ", "continues when the sensor is back"];
+    for part in trouble.into_iter().chain(["1 front  connected"]) {
+        assert!(lost.contains(part), "{part:?} is missing in\n{lost}");
+    }
     assert_eq!(own(&model), before);
-    assert_eq!(
-        cells_in(&model, Palette::Coloured.sensor(1), Palette::Coloured),
-        [],
-        "it is of the past"
-    );
+    assert_eq!(cells_in(&model, Palette::Coloured.sensor(1)), [], "it is of the past");
 }
 
 #[tokio::test(start_paused = true)]
