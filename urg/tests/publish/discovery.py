@@ -180,7 +180,7 @@ def reopened_for_a_forgotten_reader():
             forgotten.process.send_signal(signal.SIGSTOP)
             time.sleep(LEASE + 5)
             forgotten.process.send_signal(signal.SIGCONT)
-            urg.wait_for("a reader is back that was forgotten", 20)
+            urg.wait_for("a reader is back after a silence", 20)
             forgotten.more(20), steady.more(20)
         stamps = [int(stamp) for _, stamp in steady.lines]
         gaps = [b - a for a, b in zip(stamps, stamps[1:])]

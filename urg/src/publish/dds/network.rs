@@ -108,7 +108,7 @@ impl Network {
         let trace = trace
             .map(|path| format!("<Category>discovery</Category><OutputFile>{path}</OutputFile>"));
         let trace = trace.unwrap_or_default();
-        // LeaseDuration: same as Fast DDS. SPDPInterval: a reader that forgot this participant
+        // LeaseDuration: as in `trace`. SPDPInterval: a reader that forgot this participant
         // finds it within one interval. WriterLingerDuration: do not wait at exit to resend scans,
         // which are stale by then. WhcHigh: never block on a reader that acknowledges nothing. The
         // history depth limits the memory. FragmentSize: send each message of up to 60 kB whole.
@@ -124,7 +124,7 @@ impl Network {
              <MaxMessageSize>65000B</MaxMessageSize><FragmentSize>60000B</FragmentSize></General>\
              <Discovery><ParticipantIndex>auto</ParticipantIndex>\
              <MaxAutoParticipantIndex>{MAX_INDEX}</MaxAutoParticipantIndex>\
-             <LeaseDuration>20s</LeaseDuration><SPDPInterval>2s</SPDPInterval>{tag}\
+             <LeaseDuration>24s</LeaseDuration><SPDPInterval>2s</SPDPInterval>{tag}\
              <Peers AddLocalhost=\"false\"><Peer address=\"{pulse}\" PruneDelay=\"inf\"/></Peers></Discovery>\
              <Internal><WriterLingerDuration>0s</WriterLingerDuration>\
              <Watermarks><WhcHigh>64MB</WhcHigh></Watermarks></Internal>\

@@ -1,9 +1,13 @@
-//! Reads in Cyclone's trace of discovery which participants were forgotten and are back.
+//! Reads in Cyclone's trace of discovery which participants are back after an outage.
 //!
 //! Cyclone forgets a participant that is silent for its lease. But the participant, if its process
 //! was only stopped, still remembers Cyclone. Cyclone's counter restarts, so the participant takes
 //! new requests for old ones, and never answers. They find each other again only if Cyclone's
 //! participant is reopened under a new name. Cyclone's own events do not name participants.
+//!
+//! A participant with a longer lease may forget Cyclone instead. Readers on RustDDS 0.13 and
+//! dust_dds 0.16 then get no scans until Cyclone has a new name, too. Both number each of their
+//! announcements, which the trace calls updates; Cyclone and Fast DDS repeat theirs.
 
 use std::collections::HashMap;
 use std::fs::OpenOptions;
@@ -17,10 +21,14 @@ use super::log::text;
 
 /// Silence after which others forget this process. Its lease, as in `network`, is a second
 /// longer: checks may be late.
-const OWN_LEASE: Duration = Duration::from_secs(19);
+const OWN_LEASE: Duration = Duration::from_secs(23);
+
+/// Silence that means an outage, if as long a time without one precedes or follows it. The lease of
+/// this process is an announcement longer. RustDDS, each 10 s, may lose one announcement.
+const OUTAGE: Duration = Duration::from_secs(22);
 
 /// Maximum number of participants to remember. A domain has room for 120 per machine.
-const MAX_FORGOTTEN: usize = 10_000;
+const MAX_PARTICIPANTS: usize = 10_000;
 
 /// Reader of the trace, on a thread of its own. The thread ends when Cyclone has closed the trace,
 /// and this is dropped.
@@ -71,24 +79,64 @@ impl Trace {
 }
 
 fn read(trace: impl BufRead, returned: &Mutex<Option<String>>) {
-    let mut forgotten = HashMap::new();
+    let mut heard = HashMap::new();
     for line in trace.split(b'\n').map_while(Result::ok) {
-        let line = String::from_utf8_lossy(&line);
-        match text(&line).split(' ').collect::<Vec<_>>()[..] {
-            ["lease", "expired:", "l", _, "guid", guid, ..] => {
-                if forgotten.len() >= MAX_FORGOTTEN {
-                    forgotten.clear();
-                }
-                forgotten.insert(guid.to_owned(), Instant::now());
-            }
-            ["SPDP", "ST0", guid, "bes", _, "NEW", ..] => {
-                if let Some(at) = forgotten.remove(guid) {
-                    let since = at.elapsed().as_secs();
-                    let why = format!("a reader is back that was forgotten {since} s ago");
-                    *returned.lock() = Some(why);
-                }
-            }
-            _ => {}
+        if has_returned(&mut heard, text(&String::from_utf8_lossy(&line)), Instant::now()) {
+            *returned.lock() = Some("a reader is back after a silence".to_owned());
+        }
+    }
+}
+
+/// First and latest announcement of a participant since its last silence, and whether that may
+/// have been an outage; `None` once forgotten.
+type Heard = Option<(Instant, Instant, bool)>;
+
+/// Returns true if the line announces a participant that was forgotten or silent.
+fn has_returned(heard: &mut HashMap<String, Heard>, line: &str, now: Instant) -> bool {
+    if heard.len() >= MAX_PARTICIPANTS {
+        heard.clear();
+    }
+    match line.split(' ').collect::<Vec<_>>()[..] {
+        ["lease", "expired:", "l", _, "guid", guid, ..] => {
+            heard.insert(guid.to_owned(), None);
+            false
+        }
+        ["SPDP", "ST0", guid, "bes", _, "NEW", ..] => {
+            heard.insert(guid.to_owned(), Some((now, now, false))) == Some(None)
+        }
+        ["SPDP", "ST0", guid, what, ..] if what.starts_with("(update)") => {
+            let heard = heard.entry(guid.to_owned()).or_insert(None);
+            let (first, latest, may_be_back) = heard.unwrap_or((now, now, false));
+            let is_silent = now - latest > OUTAGE;
+            let (may_be_back, is_steady) = (may_be_back || is_silent, latest - first > OUTAGE);
+            *heard = Some((if is_silent { now } else { first }, now, may_be_back && !is_steady));
+            may_be_back && is_steady
+        }
+        _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_outages_of_steady_participants_count() {
+        for (announced, expected) in [
+            (&[0, 10, 20, 30, 60, 70][..], &[60][..]),
+            (&[0, 10, 20, 40, 50, 80, 90, 120, 130], &[80]),
+            (&[0, 1, 35, 45, 55, 65, 75, 85, 95], &[75]),
+            (&[0, 1, 2, 3, 40, 80, 120, 160], &[]),
+        ] {
+            let (mut heard, start) = (HashMap::new(), Instant::now());
+            let mut is_back =
+                |line: &str, at| has_returned(&mut heard, line, start + Duration::from_secs(at));
+            assert!(!is_back("SPDP ST0 110a:b:c:1c1 bes c3f NEW (data", 0));
+            let update = "SPDP ST0 110a:b:c:1c1 (update)ddsi_update_qos_locked 110a:b:c:1c1";
+            let back = announced.iter().copied().filter(|at| is_back(update, *at));
+            assert_eq!(back.collect::<Vec<_>>(), expected);
+            assert!(!is_back("lease expired: l 0x7f01 guid 110a:b:c:1c1 tend 1 < now 2", 200));
+            assert!(is_back("SPDP ST0 110a:b:c:1c1 bes c3f NEW (data", 210));
         }
     }
 }
