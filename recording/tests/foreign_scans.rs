@@ -140,6 +140,8 @@ struct Expected {
 struct Truth {
     scans: Vec<Expected>,
     left_out: BTreeMap<LeftOutReason, u64>,
+    /// True if there are scans in the form of Foxglove's SDK, on a topic of their own.
+    has_viewed: bool,
 }
 
 /// Form of a message.
@@ -300,6 +302,7 @@ fn bag(random: &mut Random, described: Option<(Scanner, Window)>) -> (Vec<u8>, T
         (3, "/scan", "my_msgs/msg/Scan", "cdr"),
         (4, "/scan", scan, "json"),
         (5, "/rear/scan", scan, "cdr"),
+        (6, "/viewed", "foxglove.LaserScan", "protobuf"),
     ] {
         let schema = writer.add_schema_with_id(id, name, "ros2msg", b"").unwrap();
         writer.add_channel_with_id(id, schema, topic, encoding, &BTreeMap::new()).unwrap();
@@ -351,6 +354,11 @@ fn bag(random: &mut Random, described: Option<(Scanner, Window)>) -> (Vec<u8>, T
             publish_time: log_time as u64,
         };
         writer.write_to_known_channel(&header, &data).unwrap();
+        if random.once_in(8) {
+            truth.has_viewed = true;
+            let header = MessageHeader { channel_id: 6, ..header };
+            writer.write_to_known_channel(&header, &data).unwrap();
+        }
         let reason = match form {
             Form::Defined | Form::UrgNode => None,
             Form::OtherLaser => Some(LeftOutReason::OtherLaser),
@@ -412,7 +420,7 @@ fn check(scan: &Scan, expected: &Expected) {
 
 #[tokio::test(start_paused = true)]
 async fn every_message_is_a_scan_or_counted() {
-    let mut totals = BTreeMap::new();
+    let (mut totals, mut nothing) = (BTreeMap::new(), 0);
     for seed in seeds("URG_FOREIGN", 400) {
         let random = &mut Random::new(seed);
         let described = random.once_in(3).then(|| {
@@ -425,7 +433,14 @@ async fn every_message_is_a_scan_or_counted() {
         for scan in recorded.by_ref() {
             match scan {
                 Ok(scan) => scans.push(scan),
-                Err(RecordingError::NoScans { .. }) => assert!(truth.scans.is_empty(), "{seed}"),
+                Err(RecordingError::NoScans { topics, others, .. }) => {
+                    assert!(truth.scans.is_empty(), "{seed}");
+                    let is_other = truth.left_out.contains_key(&LeftOutReason::OtherTopic);
+                    assert_eq!(topics, vec!["/rear/scan"; is_other.into()], "{seed}");
+                    let viewed = vec!["/viewed (foxglove.LaserScan)"; truth.has_viewed.into()];
+                    assert_eq!(others, viewed, "{seed}");
+                    nothing += 1;
+                }
                 Err(error) => panic!("{seed}: {error}"),
             }
         }
@@ -472,7 +487,8 @@ async fn every_message_is_a_scan_or_counted() {
             }
         }
     }
-    println!("left out: {totals:?}");
+    println!("left out: {totals:?}; {nothing} bags without a scan");
+    assert!(nothing > 5, "{nothing}");
     assert!(totals.len() == 8 && totals.values().all(|count| *count > 5), "{totals:?}");
 }
 
