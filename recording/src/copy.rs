@@ -273,7 +273,7 @@ impl<W: Write> Copy<W> {
         let Some(content) = source.message.take() else { return Ok(()) };
         if self.keeps_compression {
             // The first chunk may be one that does not get shorter.
-            self.writer.compress_at_least(source.compression());
+            self.writer.compression = self.writer.compression.max(source.compression());
         }
         let Some((mut header, data)) = MessageHeader::parse(&content) else { return Ok(()) };
         let record = parse(&content, source.records.definitions()).and_then(Result::ok);

@@ -20,7 +20,8 @@ pub(crate) struct McapWriter<W> {
     /// Number of bytes written.
     pub(crate) offset: u64,
     chunk: OpenChunk,
-    compression: Compression,
+    /// Of the next chunks.
+    pub(crate) compression: Compression,
     /// Record of the latest compressed chunk.
     compressed: Vec<u8>,
     pub(super) index: Index,
@@ -60,11 +61,6 @@ impl<W: Write> McapWriter<W> {
     pub(crate) fn start_copy(out: W, header: &[u8], compression: Compression) -> io::Result<Self> {
         let writer = Self::start(out, header, compression)?;
         Ok(Self { since_channels: Some(0), ..writer })
-    }
-
-    /// Compresses from now on, unless it does so already.
-    pub(crate) fn compress_at_least(&mut self, compression: Compression) {
-        self.compression = compression.max(self.compression);
     }
 
     /// Length of the file so far, including the open chunk without compression, or the definitions in
