@@ -1,12 +1,14 @@
 //! Dropping any future at any await loses nothing and disturbs no other request.
 
-use std::future::{Future, poll_fn};
+use std::future::{Future, IntoFuture, poll_fn};
 use std::pin::pin;
 use std::task::Poll;
 
-use crate::common::{builder, truthful};
+use futures::FutureExt;
+
+use crate::common::{builder, ms, truthful};
 use tokio_scip::{BaudRate, Driver, ErrorKind, Rate, Sensor, Window};
-use urg_emulator::{Emulator, Verdict};
+use urg_emulator::{Emulator, Model, Verdict};
 
 /// Runs the driver step by step, and drops the future that `ask` makes after `steps` of
 /// them. Returns whether it had finished by then.
@@ -97,6 +99,24 @@ async fn a01_a_stream_dropped_at_every_await() {
         }
     });
     assert!(steps.await > 8);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a01_a_stream_that_nobody_takes_is_not_polled() {
+    for model in [Model::Urg04lx, Model::Ust10lx] {
+        let emulator = Emulator::builder().model(model).build();
+        let sensor = builder().connect(emulator.clone()).await.unwrap();
+        let mut subscribing =
+            Box::pin(sensor.scans(Window::DETECTION, Rate::UNLIMITED).into_future());
+        assert!((&mut subscribing).now_or_never().is_none());
+        // The driver answers meanwhile.
+        tokio::time::sleep(ms(500)).await;
+        drop(subscribing);
+        tokio::time::sleep(ms(1000)).await;
+        let scans = emulator.counts().scans;
+        tokio::time::sleep(ms(1000)).await;
+        assert_eq!(emulator.counts().scans, scans, "{model:?}");
+    }
 }
 
 #[tokio::test(start_paused = true)]

@@ -44,6 +44,19 @@ async fn a_stream_continues_after_a_replug() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_new_stream_learns_that_the_sensor_is_silent() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    emulator.set_faults(Faults::none().every(Fault::Lost));
+    sensor.scan(Window::DETECTION).await.unwrap_err();
+    let mut state = sensor.watch_state();
+    state.wait_for(|state| matches!(state, State::Recovering)).await.map(drop).unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let item = futures::FutureExt::now_or_never(stream.next());
+    assert!(matches!(item, Some(Some(Err(_)))), "{item:?}");
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_refused_baud_rate_fails_only_opening() {
     let (slow, fast) = (BaudRate::B19200, BaudRate::B115200);
     let emulator = truthful().baud_rate(slow).build();

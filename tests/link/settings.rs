@@ -111,6 +111,36 @@ async fn settings_without_a_link_apply_after_the_replug() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_baud_rate_without_a_link_is_tried_thrice_unless_it_is_refused() {
+    for (fault, times) in [(Fault::Status(b'1'), 1), (Fault::Ignored, 3)] {
+        let emulator = truthful().baud_rate(BaudRate::B19200).build();
+        let sensor = builder().request_timeout(ms(10)).connect(emulator.clone()).await.unwrap();
+        emulator.unplug();
+        assert!(sensor.set_baud_rate(BaudRate::B115200).await.is_err());
+        emulator.set_faults(Faults::none().on("S", fault.clone()));
+        emulator.plug_in();
+        tokio::time::sleep(ms(20_000)).await;
+        let asked = emulator.log().iter().filter(|line| line.line.starts_with(b"S")).count();
+        assert_eq!(asked, times, "{fault:?}");
+        sensor.scan(Window::DETECTION).await.unwrap();
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_baud_rate_that_is_not_restored_is_tried_again() {
+    let emulator = truthful().baud_rate(BaudRate::B19200).build();
+    let fast = builder().baud_rate(BaudRate::B115200);
+    let sensor = fast.connect(emulator.clone()).await.unwrap();
+    for n in 0..4 {
+        emulator.set_faults(Faults::none().once("S", Fault::Ignored));
+        emulator.power_cycle();
+        while sensor.scan(Window::DETECTION).await.is_err() {}
+        tokio::time::sleep(ms(5000)).await;
+        assert_eq!(emulator.baud_rate(), Some(BaudRate::B115200), "{n}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_laser_that_another_program_switched_off_is_switched_on() {
     use tokio::io::AsyncWriteExt;
     let emulator = truthful().build();

@@ -81,7 +81,10 @@ async fn it_is_unknown_while_the_laser_is_off() {
     let (_emulator, sensor, _stream) = streaming(builder()).await;
     sensor.laser_off().await.unwrap();
     assert_eq!(reached(&sensor), None);
+    sleep(Duration::from_secs(60)).await;
     sensor.laser_on().await.unwrap();
+    sleep(Duration::from_secs(1)).await;
+    assert_eq!(reached(&sensor), None, "before three seconds");
     sleep(Duration::from_secs(10)).await;
     assert!(reached(&sensor) > Some(9.0));
 }

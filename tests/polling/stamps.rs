@@ -57,6 +57,19 @@ fn worst(errors: &[Errors], of: fn(&Errors) -> f64) -> f64 {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_reply_begins_after_the_nul_of_a_break() {
+    let emulator = Emulator::builder().pace(Pace::AtOnce).usb().world(Fixed::filled(1234)).build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    let broken = Faults::none().on("G", Fault::Insert(0, vec![0]));
+    emulator.set_faults(broken.on("G", Fault::Pause(1, ms(30))));
+    let scan = sensor.scan(Window::DETECTION).await.unwrap();
+    // The first ray is 852 of 1,024 steps older than the first byte.
+    let age = scan.received_at() - scan.times().first_ray_at;
+    assert!((ms(83)..ms(88)).contains(&age), "{age:?}");
+    assert!(scan.received_at() - scan.times().requested_at > ms(30));
+}
+
+#[tokio::test(start_paused = true)]
 async fn stamps_rest_on_the_motor_and_its_period_is_measured() {
     for rate in [Rate::UNLIMITED, Rate::hz(10.0), Rate::hz(5.0)] {
         let emulator = turning().build();

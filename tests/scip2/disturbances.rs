@@ -15,7 +15,7 @@ use urg_emulator::{Emulator, Fault, Faults, Firmware, Model};
 
 use super::refusals::{PARAMETERS, VERSION};
 use super::{next, numbered, revolution};
-use crate::common::builder;
+use crate::common::{builder, reason};
 
 fn commands(emulator: &Emulator, head: &[u8]) -> usize {
     emulator.log().iter().filter(|line| line.line.starts_with(head)).count()
@@ -274,6 +274,8 @@ async fn a_stream_continues_after_a_check_of_the_sensor() {
         let error = stream.next().await.unwrap().unwrap_err();
         assert!(matches!(error.kind(), ErrorKind::Refused { .. }), "{error}");
         assert_eq!(sensor.stats().refused, 1);
+        let reason = reason(&sensor.freshness());
+        assert!(matches!(reason.kind(), ErrorKind::Refused { .. }), "{reason}");
         let start = Instant::now();
         while !asked.recv().await.unwrap().starts_with("QT") {}
         // At its deadline, or at once.
@@ -421,17 +423,27 @@ async fn late_replies_are_no_stream() {
 
 #[tokio::test(start_paused = true)]
 async fn scans_that_come_with_each_reply_are_a_stream() {
-    for (head, is_stream) in [("MD", true), ("NE", true), ("VV", false)] {
+    let heads = [("MD", true), ("NE", true), ("VV", false)];
+    // Such a stream is ended before a request for the state, before another one, and with the driver.
+    for ((head, is_stream), next) in heads.into_iter().flat_map(|head| [0, 1, 2].map(|n| (head, n)))
+    {
         let emulator = numbered(Model::Ust10lx).build();
         let sensor = builder().connect(emulator.clone()).await.unwrap();
         sensor.scan(Window::DETECTION).await.unwrap();
         let stops = commands(&emulator, b"QT");
         let scan = format!("{head}0000108001000\n99b\n\n");
         emulator.set_faults(Faults::none().once("GD", Fault::Garbage(scan.into_bytes())));
-        // Such a stream is ended before a request for the state, too.
         sensor.scan(Window::DETECTION).await.unwrap();
-        sensor.sensor_state().await.unwrap();
-        assert_eq!(commands(&emulator, b"QT") - stops, usize::from(is_stream), "{head}");
+        let mut stream = None;
+        match next {
+            0 => drop(sensor.sensor_state().await.unwrap()),
+            1 => {
+                let scans = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+                stream.insert(scans).next().await.unwrap().unwrap();
+            }
+            _ => sensor.close().await,
+        }
+        assert_eq!(commands(&emulator, b"QT") - stops, usize::from(is_stream), "{head}, {next}");
     }
 }
 

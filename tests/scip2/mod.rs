@@ -70,6 +70,7 @@ async fn an_unlimited_stream_has_each_scan_once() {
             assert_eq!(now, latest + 1, "{model:?} {scan:?}");
             latest = now;
         }
+        assert_eq!(sensor.stats().polls, 1001, "{model:?}");
     }
 }
 
@@ -155,11 +156,25 @@ async fn a_window_that_a_sensor_lacks_costs_only_its_stream() {
         }
         let error = sensor.scan(lacking).await.unwrap_err().to_string();
         assert!(error.contains("this sensor measures steps 44..=725"), "{error}");
-        let is_asked = |line: &[u8]| line.starts_with(b"GD0000") || line.starts_with(b"G00076");
+        let is_asked = |line: &[u8]| {
+            [&b"GD0000"[..], b"MD0000", b"G00076"].iter().any(|it| line.starts_with(it))
+        };
         assert!(emulator.log().iter().all(|line| !is_asked(&line.line)), "{model:?}");
     }
     let sensor = builder().connect(numbered(Model::Ust10lx).build()).await.unwrap();
     assert_eq!(sensor.scan(large).await.unwrap().len(), 1081);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_that_refuses_to_tell_what_it_is_is_waited_for() {
+    let refusing = Faults::none().on("PP", Fault::Status(b'M'));
+    let emulator = numbered(Model::Ust10lx).faults(refusing).build();
+    let sensor = builder().wait_for_sensor(true).connect(emulator.clone()).await.unwrap();
+    tokio::time::sleep(Duration::from_secs(10)).await;
+    let State::Connecting { error: Some(error) } = sensor.watch_state().get() else { panic!() };
+    assert!(matches!(error.kind(), ErrorKind::Refused { .. }), "{error}");
+    emulator.set_faults(Faults::none());
+    sensor.watch_state().connected().await.unwrap();
 }
 
 #[tokio::test(start_paused = true)]

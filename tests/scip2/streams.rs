@@ -7,7 +7,7 @@ use std::time::Duration;
 use futures::FutureExt;
 use tokio::time::{Instant, sleep};
 use tokio_scip::protocol::scip2::Command;
-use tokio_scip::{Rate, Scan, ScanStream, Window};
+use tokio_scip::{Rate, Scan, ScanStream, State, Window};
 use urg_emulator::{Emulator, Fault, Faults, Model, Values, WorldTime};
 
 use super::{next, numbered, revolution};
@@ -97,18 +97,22 @@ async fn a_stream_has_its_rate_although_the_sensor_tells_another_speed() {
 /// Scans come a little before or after the points of a slow stream's grid.
 #[tokio::test(start_paused = true)]
 async fn a_slow_stream_beside_a_fast_one_has_every_nth_scan() {
-    for turns in 2..=4 {
-        let emulator = numbered(Model::Urg04lxUg01).build();
+    let models = [(Model::Urg04lxUg01, 10.0, 4), (Model::Ust10lx, 40.0, 190)];
+    for (turns, (model, hz, late)) in (2..=4).flat_map(|turns| models.map(|model| (turns, model))) {
+        let emulator = numbered(model).build();
         let sensor = builder().depth(512).connect(emulator.clone()).await.unwrap();
         let mut fast = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
         next(&mut fast).await;
-        emulator.set_faults(Faults::none().up_to(1.0, Fault::Late(Duration::from_millis(4))));
+        revolutions(&mut fast, 100).await;
+        let late = Fault::Late(Duration::from_millis(late));
+        emulator.set_faults(Faults::none().up_to(if hz > 10.0 { 0.05 } else { 1.0 }, late));
         sleep(Duration::from_millis(2)).await;
-        let rate = Rate::hz(10.0 / f64::from(turns));
+        let rate = Rate::hz(hz / f64::from(turns));
         let mut slow = sensor.scans(Window::DETECTION, rate).await.unwrap();
         // The first point is due at once.
         let all = revolutions(&mut slow, 200).await.split_off(1);
-        assert!(all.windows(2).all(|pair| pair[1] == pair[0] + turns), "{turns}: {all:?}");
+        let is_whole = all.windows(2).all(|pair| pair[1] == pair[0] + turns);
+        assert!(is_whole, "{model:?}, {turns}: {all:?}");
     }
 }
 
@@ -217,6 +221,20 @@ async fn a_stream_ends_with_its_last_reader() {
         next(&mut sensor.scans(Window::DETECTION, rate).await.unwrap()).await;
         assert_eq!(sensor.stats().lost, 0, "{rate}");
     }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_stream_that_was_dropped_without_a_link_does_not_begin() {
+    let emulator = numbered(Model::Ust10lx).build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    emulator.unplug();
+    let mut state = sensor.watch_state();
+    state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.map(drop).unwrap();
+    drop(sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap());
+    emulator.plug_in();
+    state.connected().await.unwrap();
+    sleep(Duration::from_secs(1)).await;
+    assert_eq!(count(&emulator, "MD"), 0);
 }
 
 #[tokio::test(start_paused = true)]
