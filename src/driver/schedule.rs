@@ -245,7 +245,6 @@ impl Schedules {
 
     /// Drops the schedules without readers.
     pub(crate) fn drop_unread(&mut self) {
-        let before = self.all.len();
         self.all.retain(|schedule| {
             let is_read = schedule.ring.readers() > 0;
             if !is_read {
@@ -254,9 +253,6 @@ impl Schedules {
             }
             is_read
         });
-        if self.all.len() < before {
-            self.publish();
-        }
     }
 }
 
@@ -311,10 +307,7 @@ impl Schedule {
 
     /// Advances to the last grid point that is due, if any. Returns the number of grid points skipped.
     fn catch_up(&mut self, now: Instant) -> u64 {
-        let Some(period) = self.stats.rate.period() else {
-            self.due = self.due.max(now);
-            return 0;
-        };
+        let Some(period) = self.stats.rate.period() else { return 0 };
         let late = now.saturating_duration_since(self.due);
         if late < period {
             return 0;

@@ -86,7 +86,6 @@ impl Supervisor {
 
     /// Enters the final state, and ends all streams.
     fn end(&mut self, error: Option<&Error>) {
-        self.offline.schedules.pause();
         self.shared.enter(State::Closed { error: error.cloned() });
         self.offline.schedules.end(error);
     }

@@ -61,9 +61,7 @@ impl Service<'_> {
             if !self.schedules.is_due() {
                 return Ok(false);
             }
-            if rarely(|| self.start_stream(session)).await? {
-                return Ok(true);
-            }
+            rarely(|| self.start_stream(session)).await?;
         }
         let Some(poll) = self.schedules.take_due(now) else { return Ok(true) };
         let window = poll.window;

@@ -13,31 +13,28 @@ use super::{Service, Stop, command_error, ignore_command_errors};
 use crate::ErrorKind;
 
 impl Service<'_> {
-    /// Starts a stream for the schedules that are not too slow for it, if the line is not. Returns false if
-    /// a schedule is to be polled.
-    pub(super) async fn start_stream(&mut self, session: &mut Session) -> Result<bool, Stop> {
+    /// Starts a stream for the schedules that are not too slow for it, if the line is not.
+    pub(super) async fn start_stream(&mut self, session: &mut Session) -> Result<(), Stop> {
         // It would switch on a laser that is to be off.
         if self.queue.desired.laser == Some(false) {
-            return Ok(false);
+            return Ok(());
         }
-        let Some(wish) = self.schedules.stream(self.scan_time) else { return Ok(false) };
-        let Some(mut streams) = session.streams() else { return Ok(false) };
+        let Some(wish) = self.schedules.stream(self.scan_time) else { return Ok(()) };
+        let Some(mut streams) = session.streams() else { return Ok(()) };
         if !streams.can_stream(wish) {
-            return Ok(false);
+            return Ok(());
         }
         self.schedules.begin_stream(self.scan_time);
         let outcome = streams.stream(wish).await;
-        // Of the schedules that are too slow for a stream. The others ask for it again: by `GD` they
-        // could get a scan twice.
-        let is_due = self.schedules.is_due();
         match outcome {
             Ok(()) => self.streamed = Some(wish.skipped),
+            // They are due again later, for a stream: by `GD` they could get a scan twice.
             Err(failure) => {
                 self.fail_streamed(&command_error(failure)?)?;
                 self.schedules.end_stream();
             }
         }
-        Ok(!is_due)
+        Ok(())
     }
 
     /// Takes the polls that are due for a scan, which arrived this late.

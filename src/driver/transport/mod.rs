@@ -195,13 +195,11 @@ impl Transport {
         Ok(self.end_frame(frame))
     }
 
-    /// Expects a frame without a command, within this time from now on.
-    pub(crate) fn expect_unasked(&mut self, expected: &Expected, within: Duration) {
+    /// Expects frames of unknown length without a command, within this time from now on.
+    pub(crate) fn expect_unasked(&mut self, limits: &'static Limits, within: Duration) {
         self.requested = Instant::now();
-        self.expect(expected, self.requested + within);
-        self.frames = 1;
-        self.pauses.begin_reply();
-        (self.times, self.paused_until) = (None, None);
+        self.expect(&Expected { reply: None, limits }, self.requested + within);
+        self.times = None;
         if self.input.iter().any(|byte| *byte != 0) {
             // Its first bytes came with the last ones of the frame before.
             self.begin_reply();
@@ -306,12 +304,10 @@ impl Transport {
             match self.poll_read(cx) {
                 Poll::Ready(Ok(0)) => return Poll::Ready(Err(self.lost(None).into())),
                 Poll::Ready(Err(error)) => return Poll::Ready(Err(self.lost(Some(error)).into())),
-                Poll::Ready(Ok(read)) => {
-                    let fresh = self.input.len().saturating_sub(read);
+                Poll::Ready(Ok(_)) => {
                     // The codec skips the NULs that a line leaves in front of a reply when it
                     // changes its speed or breaks.
-                    if self.times.is_none() && self.input.iter().skip(fresh).any(|byte| *byte != 0)
-                    {
+                    if self.times.is_none() && self.input.iter().any(|byte| *byte != 0) {
                         self.begin_reply();
                     }
                     continue;

@@ -24,7 +24,7 @@ async fn a_nul_before_or_behind_a_reply_begins_none() {
         let times = transport.ask(b"MD", &ANY, Duration::from_secs(1)).await.unwrap().times;
         assert_eq!(times.began - begin, Duration::from_millis(160));
         assert_eq!(times.received - begin, Duration::from_millis(240));
-        transport.expect_unasked(&ANY, Duration::from_secs(1));
+        transport.expect_unasked(&LIMITS, Duration::from_secs(1));
         let times = std::future::poll_fn(|cx| {
             transport.poll_unasked_frame(cx).map(|received| received.unwrap().times)
         });

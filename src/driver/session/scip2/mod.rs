@@ -132,7 +132,6 @@ impl Scip2<'_> {
                     return self.stop().await;
                 }
                 Err(ExchangeError::Link(_)) => break,
-                _ if self.line.shared.is_closing() => break,
                 _ => answer = self.enter_once().await,
             }
         }
@@ -268,7 +267,7 @@ impl Scip2<'_> {
     /// Waits until a sensor that restarts must be silent, or the port has ended: the system reuses the name
     /// of a USB port only if that is closed before the sensor is back.
     async fn await_restart(&mut self) {
-        self.line.transport.expect_unasked(&Expected { reply: None, limits: &LIMITS }, RESTART);
+        self.line.transport.expect_unasked(&LIMITS, RESTART);
         while self.line.transport.next_frame().await.is_ok() {}
     }
 

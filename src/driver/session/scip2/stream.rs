@@ -14,7 +14,7 @@ use super::super::super::failure::{ExchangeError, LinkError};
 use super::super::super::motor_clock::Revolution;
 use super::super::super::observers::ReplyObservers;
 use super::super::super::schedule::StreamWish;
-use super::super::super::transport::{Expected, ReceivedFrame, ReplyTimes};
+use super::super::super::transport::{ReceivedFrame, ReplyTimes};
 use super::super::errors::{record_malformed, record_silence};
 use super::super::{Acquired, Streamed};
 use super::exchange::{accepted, find_own, is_like_a_stream, raw_reply, refusal};
@@ -177,8 +177,7 @@ impl Scip2<'_> {
         let turns = u32::from(running.skipped) + 1;
         let latency = self.latency(running.request.command()) + turns * self.state.revolution();
         let within: Duration = self.time_limit(&running.request, latency);
-        let expected = Expected { reply: None, limits: &LIMITS };
-        self.line.transport.expect_unasked(&expected, within);
+        self.line.transport.expect_unasked(&LIMITS, within);
     }
 }
 
