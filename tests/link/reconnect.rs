@@ -51,9 +51,20 @@ async fn a_new_stream_learns_that_the_sensor_is_silent() {
     sensor.scan(Window::DETECTION).await.unwrap_err();
     let mut state = sensor.watch_state();
     state.wait_for(|state| matches!(state, State::Recovering)).await.map(drop).unwrap();
-    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
-    let item = futures::FutureExt::now_or_never(stream.next());
-    assert!(matches!(item, Some(Some(Err(_)))), "{item:?}");
+    for is_replugged in [false, true] {
+        if is_replugged {
+            emulator.unplug();
+            let lost = |state: &State| matches!(state, State::Disconnected { .. });
+            state.wait_for(lost).await.map(drop).unwrap();
+            emulator.plug_in();
+            while !emulator.is_connected() {
+                tokio::time::sleep(ms(1)).await;
+            }
+        }
+        let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+        let item = futures::FutureExt::now_or_never(stream.next());
+        assert!(matches!(item, Some(Some(Err(_)))), "{item:?} {is_replugged}");
+    }
 }
 
 #[tokio::test(start_paused = true)]

@@ -111,6 +111,24 @@ async fn settings_without_a_link_apply_after_the_replug() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_laser_command_that_was_abandoned_precedes_a_scan() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    let versions = || emulator.log().iter().filter(|line| line.line == b"V").count();
+    let before = versions();
+    emulator.unplug();
+    emulator.plug_in();
+    // The search has begun with the laser as it was.
+    while versions() == before {
+        tokio::time::sleep(ms(1)).await;
+    }
+    assert!(tokio::time::timeout(ms(1), sensor.laser_off()).await.is_err());
+    let error = sensor.scan(Window::DETECTION).await.unwrap_err();
+    assert!(matches!(error.kind(), ErrorKind::LaserOff), "{error}");
+    assert!(!emulator.is_laser_on());
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_baud_rate_without_a_link_is_tried_thrice_unless_it_is_refused() {
     for (fault, times) in [(Fault::Status(b'1'), 1), (Fault::Ignored, 3)] {
         let emulator = truthful().baud_rate(BaudRate::B19200).build();

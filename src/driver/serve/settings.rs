@@ -126,5 +126,5 @@ impl Service<'_> {
 
 /// Returns true if the port is gone: nothing tells whether the sensor would have obeyed.
 pub(super) fn is_unplugged<T>(outcome: &Result<T, ExchangeError>) -> bool {
-    matches!(outcome, Err(ExchangeError::Link(LinkError::Lost(_) | LinkError::Ended(_))))
+    matches!(outcome, Err(ExchangeError::Link(LinkError::Lost(_))))
 }
