@@ -58,9 +58,8 @@ impl RecorderBuilder {
 
     /// Sets the compression of the file. Default: [`Compression::Plain`].
     ///
-    /// You lose no more than without it if the process dies or the power fails: each second is
-    /// compressed and written alone. A second that does not get shorter is written as it is. One that
-    /// this build does not [write](Compression::is_written) is an
+    /// In a crash you lose no more: each second is compressed and written alone. A second that does not get
+    /// shorter is written as it is. One that this build does not [write](Compression::is_written) is an
     /// [error](RecordingError::NotWritten) when you start the recording.
     pub fn compression(mut self, compression: Compression) -> Self {
         self.settings.compression = compression;

@@ -52,13 +52,12 @@
 //! | `/scip/replies` | `std_msgs/msg/UInt8MultiArray` | the unchanged bytes of a reply; the label of its dimension is the request, empty for fences and unsolicited replies |
 //! | `/scip/events` | `std_msgs/msg/String` | a JSON object: [`Event`] |
 //!
-//! All messages are CDR with their definitions, of types that every ROS 2 has. The log time runs
-//! steadily from the wall clock at the beginning of the recording. The publish time is the wall
-//! clock when a reply's first byte arrived ([`stamp`](tokio_scip::scan::ScanTimes::stamp)). The header
-//! of a scan has the time of its [first ray](tokio_scip::Scan::first_ray_stamp). The metadata
-//! `tokio_scip` identifies the sensor. Nothing in a file is ever changed, so you can read it
-//! wherever it was cut off. After 4 GB or 65,000 chunks, or earlier on request, a recording continues in a
-//! further file ([`RecorderBuilder::split_duration`]).
+//! All messages are CDR with their definitions, of types that every ROS 2 has. The log time runs steadily
+//! from the wall clock at the beginning of the recording. The publish time is the wall clock when a reply's
+//! first byte arrived ([`stamp`](tokio_scip::scan::ScanTimes::stamp)). The header of a scan has the time of
+//! its [first ray](tokio_scip::Scan::first_ray_stamp). The metadata `tokio_scip` identifies the sensor. A
+//! file only grows, so you can read it if it was cut off. After 4 GB or 65,000 chunks, or earlier on request,
+//! a recording continues in a further file ([`RecorderBuilder::split_duration`]).
 //!
 //! # Replaying
 //!

@@ -20,8 +20,7 @@ const MAX_BYTES: usize = 1 << 20;
 /// is recorded, scans that the sensor sent before it are dropped, unless the consumer has missed some.
 #[derive(Debug, Default)]
 pub(super) struct PendingReplies {
-    /// Window and sequence number of the latest recorded scan. While there is none, replies are written
-    /// at once, because a recording may consist of replies alone.
+    /// Window and sequence number of the latest recorded scan.
     latest: Option<(Window, u64)>,
     replies: VecDeque<WriteItem>,
     bytes: usize,
@@ -31,7 +30,7 @@ impl PendingReplies {
     /// Takes the next item, and passes on what is to be written now.
     pub(super) fn take(&mut self, item: WriteItem, now: Instant, mut write: impl FnMut(WriteItem)) {
         match item {
-            WriteItem::Reply { .. } if self.latest.is_some() => {
+            WriteItem::Reply { .. } if self.waits(&item) => {
                 self.bytes += item.weight();
                 self.replies.push_back(item);
                 while self.bytes > MAX_BYTES || self.is_overdue(now) {
@@ -55,7 +54,7 @@ impl PendingReplies {
     /// has taken.
     pub(super) fn end(&mut self, mut write: impl FnMut(WriteItem)) {
         while let Some(reply) = self.pop() {
-            if !has_scan(&reply, |_| true) {
+            if self.latest.is_none() || !has_scan(&reply, |_| true) {
                 write(reply);
             }
         }
@@ -75,6 +74,12 @@ impl PendingReplies {
             reply.into_iter().for_each(&mut write);
         }
         self.pop().into_iter().for_each(write);
+    }
+
+    /// A recording may consist of replies alone. Before the first scan, those of a stream wait for it.
+    fn waits(&self, reply: &WriteItem) -> bool {
+        let is_begun = self.latest.is_some() || !self.replies.is_empty();
+        is_begun || has_scan(reply, RecordedReply::is_streamed)
     }
 
     fn pop(&mut self) -> Option<WriteItem> {

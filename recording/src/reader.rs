@@ -29,10 +29,9 @@ const MAX_OTHER_TOPICS: usize = 16;
 
 /// Iterates over the records of a recording, in file order.
 ///
-/// A missing end is no error: after the process died or the disk was full, you get
-/// everything recorded before, and then [`is_truncated`](Self::is_truncated) returns true.
-/// A damaged part is an item, [`RecordingError::Damaged`], and the records after it
-/// follow. Any other error is the last item. Reading blocks the thread.
+/// A missing end is no error: after a crash or on a full disk you get what was recorded before, and then
+/// [`is_truncated`](Self::is_truncated) returns true. A damaged part is an item, [`RecordingError::Damaged`],
+/// and the records after it follow. Any other error is the last item. Reading blocks the thread.
 ///
 /// The file's longest chunk, at most 64 MiB, bounds the memory, whatever the file claims. One more of
 /// its messages may be in memory, too, and up to 64 MiB of definitions of message types. With feature

@@ -51,9 +51,8 @@ impl Recorder {
     }
 
     /// Creates an observer for [`SensorBuilder::on_reply`](tokio_scip::SensorBuilder::on_reply), which
-    /// records the bytes of each reply, including those with which the sensor is opened. For a
-    /// sensor that is open already, [`observe`](Self::observe) it. Do only one of both: otherwise
-    /// each reply is recorded twice.
+    /// records the bytes of each reply, also those with which the sensor is opened.
+    /// [`observe`](Self::observe) one that is already open. Do not do both, or each is recorded twice.
     pub fn observer(&self) -> impl Fn(RawReply<'_>) + Send + Sync + 'static {
         let queue = Arc::clone(&self.queue);
         let began = Instant::now();

@@ -30,8 +30,7 @@ impl Recording {
     /// millimetres. Messages have no error codes: a range beyond the limits, such as `+Inf`, becomes the
     /// sensor's [value for that](tokio_scip::Geometry::far_value), and `NaN` and `-Inf` become an [unknown
     /// value](tokio_scip::Geometry::unknown_value). Ranges of 0 to 0.019 m are error codes, as `urg_node` and
-    /// `hokuyo_node` write them. `urg_node` writes 0 as `NaN`, and so do filters what they remove: it stays
-    /// unknown.
+    /// `hokuyo_node` write them. `urg_node` writes 0 as `NaN`, as filters write what they remove.
     ///
     /// If the file describes several streams, as after [`cut`](super::cut) has joined recordings,
     /// the latest metadata before a scan decides which stream it must belong to, once that stream has
