@@ -96,6 +96,8 @@ fn an_invalid_command_line_exits_with_2() {
         "emulate --faults rain=0.5",
         "emulate --tcp 4001 --link here",
         "emulate --model utm-30lx --baud 19200",
+        "emulate --model ust-10lx --firmware v3",
+        "emulate --serial-number=",
         "emulate --model lms100",
     ] {
         let output = run(arguments, 2);

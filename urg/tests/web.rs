@@ -281,7 +281,8 @@ fn a_slow_client_gets_the_newest_scans() {
             assert_eq!(next, before + missed + 1);
             break;
         }
-        before = line["sequence"].as_u64().unwrap();
+        // On a busy machine a poll may fail, and there is an event of it.
+        before = line["sequence"].as_u64().unwrap_or(before);
         assert!(before < last, "all scans were kept for a slow client");
     }
 }

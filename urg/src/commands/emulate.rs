@@ -48,9 +48,9 @@ pub(crate) struct Emulate {
     /// power-up. Only a URG-04LX has RS-232
     #[arg(long, value_name = "RATE")]
     baud: Option<BaudRate>,
-    /// Firmware dialect of a URG-04LX
-    #[arg(long, value_enum, default_value_t = FirmwareDialect::V3)]
-    firmware: FirmwareDialect,
+    /// Firmware dialect of a URG-04LX; v3 unless set
+    #[arg(long, value_enum)]
+    firmware: Option<FirmwareDialect>,
     /// Serial number of the sensor
     #[arg(long, value_name = "NUMBER", default_value = "H0713090", value_parser = serial_number)]
     serial_number: String,
@@ -122,8 +122,9 @@ enum RoomKind {
 
 impl Emulate {
     pub(crate) async fn run(self) -> Result<(), Failure> {
-        if self.baud.is_some() && self.model != ModelName::Urg04lx {
-            return Err(Failure::Usage("only a URG-04LX has RS-232: leave out --baud".to_owned()));
+        if self.model != ModelName::Urg04lx && (self.baud.is_some() || self.firmware.is_some()) {
+            let unknown = "only a URG-04LX has these: leave out --baud and --firmware";
+            return Err(Failure::Usage(unknown.to_owned()));
         }
         let emulator = self.emulator();
         match &self.tcp {
@@ -136,9 +137,9 @@ impl Emulate {
         let builder = Emulator::builder()
             .model(self.model.into())
             .firmware(match self.firmware {
-                FirmwareDialect::Text => Firmware::Text,
-                FirmwareDialect::V3 => Firmware::V3,
-                FirmwareDialect::V31 => Firmware::V31,
+                Some(FirmwareDialect::Text) => Firmware::Text,
+                Some(FirmwareDialect::V3) | None => Firmware::V3,
+                Some(FirmwareDialect::V31) => Firmware::V31,
             })
             .serial_number(&self.serial_number)
             .seed(self.seed)
@@ -224,6 +225,6 @@ fn check_link(path: &Path) -> Result<(), Failure> {
 
 /// Parses a serial number, a line of the reply to `V`.
 fn serial_number(text: &str) -> Result<String, &'static str> {
-    let is_line = !text.contains(char::is_control);
+    let is_line = !text.is_empty() && !text.contains(char::is_control);
     is_line.then(|| text.to_owned()).ok_or("expected text without control characters")
 }
