@@ -106,6 +106,10 @@ fn an_argument_of_ros_is_checked_as_its_option_is() {
     for (arguments, expected) in [
         (&["-p", "depth:=0"][..], "0 is not in 1..=1000"),
         (&["-p", "frame_id:=/laser"], "without a leading `/`"),
+        (&["-p", "window:=200..100"], "invalid value '200..100' for '--window"),
+        (&["-p", "baud:=1"], "invalid value '1' for '--baud"),
+        (&["-p", "protocol:=3"], "invalid value '3' for '--protocol"),
+        (&["-p", "timeout:=0"], "invalid value '0' for '--timeout"),
         (&["-p", "depth"], "expected NAME:=VALUE, found `depth`"),
         (&["-p", "depth:="], "expected NAME:=VALUE, found `depth:=`"),
         (&["-p"], "expected NAME:=VALUE after -p"),

@@ -24,8 +24,7 @@ const MAX_DEPTH: usize = 50;
 /// last, because the last one applies. `nodes` parses a command line for the names of its nodes;
 /// it returns none if the command line is invalid.
 ///
-/// An unsupported flag, an invalid value, and a file that cannot be read are usage errors. An
-/// unknown name only prints a notice.
+/// Unsupported flags, invalid values and unreadable files are usage errors, unknown names notices.
 pub(crate) fn as_options(
     arguments: Vec<OsString>,
     nodes: impl Fn(&[OsString]) -> Vec<NodeNames>,
@@ -177,8 +176,9 @@ impl RosArgs {
             for Parameter { name, value, .. } in ours {
                 match &**name {
                     "frame" | "frame_id" | "laser_frame_id" | "qos" | "depth" | "time_offset"
-                    | "domain" | "interface" | "rate" | "start" | "end" | "from" | "to"
-                    | "cluster" | "tf" | "engine" | "router" | "mode" | "listen" | "topic" => {
+                    | "domain" | "interface" | "rate" | "window" | "from" | "to" | "cluster"
+                    | "tf" | "engine" | "router" | "mode" | "listen" | "topic" | "baud"
+                    | "protocol" | "timeout" => {
                         let why = || usage(format!("`{text}`: expected one value for {name}"));
                         let value = value.as_ref().ok_or_else(why)?;
                         let name = name.trim_start_matches("laser_").replace('_', "-");
