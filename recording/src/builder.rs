@@ -130,7 +130,7 @@ impl RecorderBuilder {
     /// Makes the recorder a black box: it holds the items of this time in memory, and writes them
     /// when you [trigger](Recorder::trigger) it. From then on it records everything.
     ///
-    /// Holds at most 4 MiB, about a minute and a half of full scans and their replies at 10 Hz, ten seconds
+    /// Holds at most 4 MiB, about two minutes of full scans and their replies at 10 Hz, thirteen seconds
     /// of a UST: beyond that the oldest items are dropped earlier. Without a trigger the file stays empty.
     ///
     /// ```

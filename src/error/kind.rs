@@ -10,8 +10,8 @@ use crate::protocol::{BaudRate, MalformedError, Protocol, Text};
 /// What failed, as [`Error::kind`](crate::Error::kind) returns it.
 ///
 /// Convert a kind with [`Error::from`](crate::Error), for a [`Connect`](crate::port::Connect) of
-/// your own or a test. You can construct every variant that a `Connect` returns. The other
-/// variants are `#[non_exhaustive]`: only the driver constructs them, and they may get more fields.
+/// your own or a test. You can construct every variant that a `Connect` of your own returns. The other
+/// variants with fields are `#[non_exhaustive]`: only this crate constructs them, and they may get more.
 #[derive(Debug, Clone, thiserror::Error)]
 #[error("{}", Sentence { kind: self, sensor: "the sensor" })]
 #[non_exhaustive]

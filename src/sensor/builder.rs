@@ -167,7 +167,8 @@ impl SensorBuilder {
     }
 
     /// Sets how long the sensor may take to answer, in addition to the time on the line. Default:
-    /// 500 ms for `G` and 1 s for the other commands. Clamped to 10 ms and a day.
+    /// 500 ms for a scan, 400 ms for a restart, and 1 s for the other commands. Clamped to 10 ms and a
+    /// day. No effect on the search for the baud rate, which waits for 400 ms.
     pub fn reply_latency(mut self, latency: Duration) -> Self {
         self.config.reply_latency = Some(latency.clamp(SHORTEST, LONGEST));
         self

@@ -255,8 +255,9 @@ impl Sensor {
 
     /// Closes the port and stops the driver. If there is a link, earlier requests are answered
     /// first. Later requests fail with [`Closed`](crate::ErrorKind::Closed), and streams
-    /// end. Returns at once if the driver has ended already. Leaves the laser as it is: to switch
-    /// it off, call [`laser_off`](Self::laser_off) first.
+    /// end. Returns at once if the driver has ended already. Leaves the laser as it is, except that
+    /// the command that ends a stream in SCIP 2 (`QT`) also switches it off. To be sure that it is off,
+    /// call [`laser_off`](Self::laser_off) first.
     ///
     /// If the sensor does not answer, this waits for the deadlines of the current command and of
     /// one more: 1.5 s and their time on the wire, unless you set

@@ -42,7 +42,7 @@ pub enum State {
         serial_number: Text,
     },
     /// The sensor does not answer, but its port is still open. The driver searches for it
-    /// at every baud rate.
+    /// at every baud rate that the port can set.
     Recovering,
     /// The link is lost; the driver reconnects.
     Disconnected {

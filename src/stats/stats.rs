@@ -35,8 +35,8 @@ pub struct Stats {
     pub reconnects: u64,
     /// Bytes received that were not part of a reply to the driver's commands.
     pub bytes_skipped: u64,
-    /// Scans that a sensor of SCIP 2 measured while it sent every scan ([`Rate::UNLIMITED`]), and that
-    /// did not arrive whole. Its clock tells.
+    /// Scans that a sensor of SCIP 2 should have sent in a stream, and that did not arrive whole. The
+    /// gaps in its clock tell.
     pub lost: u64,
     /// Scans that streams missed because their consumers were slow.
     pub missed: u64,
@@ -50,8 +50,8 @@ pub struct Stats {
     pub baud_rate_disproved: bool,
     /// Times from a `G` to the last byte of its reply, and in a stream of SCIP 2 from scan to scan.
     pub reply_latency: LatencyStats,
-    /// Motor of the sensor, on its own USB port. `None` while too few replies follow its
-    /// revolutions, and while the link is lost.
+    /// Motor of the sensor: on its own USB port, or in SCIP 2 in a stream. `None` while too few
+    /// replies follow its revolutions, and while the link is lost.
     pub motor: Option<MotorStats>,
     /// Windows that are polled now, each with its rate.
     pub schedules: Vec<ScheduleStats>,
@@ -103,8 +103,8 @@ impl MalformedCounts {
     }
 }
 
-/// Motor of the sensor, measured from the arrivals of replies on its own USB port: see
-/// [`guide::time`](crate::guide::time).
+/// Motor of the sensor, measured from the arrivals of replies on its own USB port, or in SCIP 2 by
+/// the sensor's clock: see [`guide::time`](crate::guide::time).
 ///
 /// As data (feature `serde`) it has `revolution` in seconds, `jumps` and `clock_drift_ppm`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -114,7 +114,8 @@ pub struct MotorStats {
     /// Duration of a revolution.
     #[cfg_attr(feature = "serde", serde(serialize_with = "seconds"))]
     pub revolution: Duration,
-    /// Number of times that the phase of the motor jumped since the link was found.
+    /// Number of times that the phase of the motor, or in SCIP 2 the sensor's clock, jumped since the
+    /// link was found.
     pub jumps: u64,
     /// How much faster the sensor's clock runs than this computer's, in parts per million. `None` in
     /// SCIP 1.1, which does not send it.
