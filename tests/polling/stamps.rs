@@ -95,6 +95,17 @@ async fn stamps_rest_on_the_motor_and_its_period_is_measured() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn stamps_rest_on_thirteen_arrivals_first() {
+    for rate in [Rate::UNLIMITED, Rate::hz(10.0)] {
+        let (_sensor, mut scans) = stream(&turning().build(), rate).await;
+        for number in 0..20 {
+            let motor = scans.next().await.unwrap().unwrap().times().quality == StampQuality::Motor;
+            assert_eq!(motor, number >= 13, "{rate} {number}");
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
 async fn late_replies_do_not_move_the_stamps() {
     let emulator = turning().faults(Faults::none().up_to(0.2, Fault::Late(ms(30)))).build();
     let (_sensor, mut scans) = stream(&emulator, Rate::UNLIMITED).await;

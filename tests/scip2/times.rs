@@ -92,6 +92,16 @@ async fn a_motor_may_turn_at_another_speed_than_the_sensor_tells() {
     }
 }
 
+#[tokio::test(start_paused = true)]
+async fn stamps_rest_on_twenty_arrivals_first() {
+    let sensor = builder().connect(numbered(Model::Ust10lx).build()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+    for number in 0..30 {
+        let quality = next(&mut stream).await.times().quality;
+        assert_eq!(quality == StampQuality::SensorClock, number >= 20, "{number}");
+    }
+}
+
 /// Between two streams such a motor turns six times in what seem seven revolutions.
 #[tokio::test(start_paused = true)]
 async fn short_streams_do_not_hide_the_speed_of_the_motor() {
