@@ -37,7 +37,7 @@ impl LatencyStats {
     /// the time that one reply in a hundred exceeds. Zero before the first reply. Clamps `q` to 0..=1.
     ///
     /// Never shorter than the exact quantile, and longer by at most an eighth or 64 us,
-    /// whichever is more. Above 16 s it is [`max`](Self::max).
+    /// whichever is more. Above 15.7 s it is [`max`](Self::max).
     pub fn quantile(&self, q: f64) -> Duration {
         let rank = (q.clamp(0.0, 1.0) * self.count as f64).ceil() as u64;
         let mut counted = 0;
