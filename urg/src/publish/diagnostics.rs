@@ -71,6 +71,7 @@ impl Condition {
             ("Timeouts", stats.timeouts.to_string()),
             ("Refused", stats.refused.to_string()),
             ("Malformed", stats.malformed.total().to_string()),
+            ("Lost", stats.lost.to_string()),
             ("Skipped", stats.polls_skipped.to_string()),
             ("Missed", stats.missed.to_string()),
             ("Disconnects", stats.disconnects.to_string()),

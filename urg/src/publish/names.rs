@@ -1,5 +1,4 @@
-//! Names of nodes, topics and frames for each sensor, from the command line. Checked against the
-//! rules of ROS.
+//! Names of nodes, topics and frames of each sensor: from the command line, by the rules of ROS.
 
 use std::collections::BTreeSet;
 

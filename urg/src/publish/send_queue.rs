@@ -80,8 +80,7 @@ impl SendQueue {
         state.silent_checks > MAX_SILENT_CHECKS
     }
 
-    /// Sets whether messages can be sent. Without a connection, drops all messages: old scans
-    /// are useless.
+    /// Sets whether messages can be sent. If not, drops all of them: old scans are useless.
     pub(super) fn set_connected(&self, is_connected: bool) {
         let mut state = self.state.lock();
         state.is_cut = !is_connected;

@@ -1,5 +1,4 @@
-//! Figures of the driver under Prometheus' names, with base units and `_total` at the end of
-//! counters.
+//! Figures of the driver under Prometheus' names: base units, and `_total` at the end of counters.
 
 use tokio_scip::Stats;
 use tokio_scip::stats::ScheduleStats;
@@ -19,6 +18,7 @@ impl Families {
             ("urg_fence_timeouts_total", "Fences without an answer", stats.fence_timeouts),
             ("urg_disconnects_total", "Losses of the link", stats.disconnects),
             ("urg_reconnects_total", "Returns of the link", stats.reconnects),
+            ("urg_lost_total", "Scans of a SCIP 2 stream that did not arrive whole", stats.lost),
             ("urg_missed_total", "Scans that slow consumers missed", stats.missed),
             ("urg_polls_skipped_total", "Polls that were not sent in time", stats.polls_skipped),
             ("urg_skipped_bytes_total", "Bytes that were in no reply", stats.bytes_skipped),
@@ -106,10 +106,11 @@ mod tests {
             scans.next().await.unwrap().unwrap();
         }
         let mut stats = sensor.stats();
-        (stats.malformed.echo, stats.malformed.line, stats.refused) = (1, 3, 2);
+        (stats.malformed.echo, stats.malformed.line, stats.refused, stats.lost) = (1, 3, 2, 5);
         let text = text(&stats);
         for line in [
             "urg_scans_total 40\n",
+            "urg_lost_total 5\n",
             "urg_malformed_total{fault=\"echo\"} 1\n",
             "urg_malformed_total{fault=\"line\"} 3\n",
             "urg_poll_failures_total{cause=\"malformed\"} 4\n",
