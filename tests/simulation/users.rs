@@ -202,8 +202,8 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
                 let _restarting = run.restarting.lock().await;
                 let outcome = run.call("reboot", sensor.reboot()).await;
                 assert!(outcome.is_err() || run.case.protocol == Protocol::Scip2);
-                // It answers for another second.
-                sleep(Duration::from_secs(1) + run.case.boot).await;
+                // It answers for another second after its reply, which may be late, or pause for 0.45 s.
+                sleep(run.case.lingers + Duration::from_millis(1500) + run.case.boot).await;
             }
             _ => {
                 run.laser_may_be_off.store(true, Ordering::Relaxed);
