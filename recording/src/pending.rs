@@ -76,7 +76,7 @@ impl PendingReplies {
         self.pop().into_iter().for_each(write);
     }
 
-    /// A recording may consist of replies alone. Before the first scan, those of a stream wait for it.
+    /// Before the first scan, only replies of a stream wait: a recording may have nothing but replies.
     fn waits(&self, reply: &WriteItem) -> bool {
         let is_begun = self.latest.is_some() || !self.replies.is_empty();
         is_begun || has_scan(reply, RecordedReply::is_streamed)

@@ -162,8 +162,8 @@ impl Sensor {
         self.client.ask(|responder| Request::BaudRate { baud_rate, responder }).await
     }
 
-    /// Restarts the sensor (`RB`, in SCIP 2), as switching its power off and on does. This ends an abnormal
-    /// state, in which it refuses to measure with status `0L`.
+    /// Restarts the sensor (`RB`, in SCIP 2), as switching its power off and on does. A sensor that refuses to
+    /// measure with status `0L` is in an abnormal state: a restart ends it.
     ///
     /// Returns at most 1.5 s after the sensor has accepted the command, once it is silent. The link is lost
     /// while it starts, which takes some seconds. The driver finds it again, and restores the laser and the

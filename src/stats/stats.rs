@@ -180,8 +180,8 @@ impl ScheduleStats {
         let faster = BaudRate::ALL.into_iter().find(|faster| carries(window, *faster));
         let wire_time = window.wire_time(baud_rate);
         let mut text = format!("a scan takes {} ms at {baud_rate} baud", wire_time.as_millis());
-        // More than a lone stream needs per scan: a poll may wait for two slow revolutions, and the
-        // time in which scans are counted may end just before one.
+        // Longest time per scan of a stream that is alone on the line. A poll may wait for two slow
+        // revolutions, and the last scan may come just too late to be counted.
         let alone = 1.2 * wire_time.as_secs_f64() + 0.3;
         if self.reached.is_some_and(|reached| reached * alone < 1.0) {
             text.push_str(", and other polls share the line");

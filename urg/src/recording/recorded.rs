@@ -113,7 +113,7 @@ impl Recorded {
         self.topic.as_deref().unwrap_or("/scan")
     }
 
-    /// Window of the stream that the recording describes: that of `urg record`, on `/scan`.
+    /// Window in the metadata, which describes the stream on `/scan` and no other topic.
     pub(super) fn described(&self) -> Option<Window> {
         self.window.filter(|_| self.topic() == "/scan")
     }
