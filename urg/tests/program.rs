@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 #[cfg(unix)]
 use tokio::signal::unix::{SignalKind, signal};
@@ -252,16 +252,19 @@ pub(crate) struct Emulated {
     _link: PortLink,
     pub(crate) running: Running,
     pub(crate) port: String,
+    /// A time before its first revolution.
+    pub(crate) began: Instant,
 }
 
 impl Emulated {
     /// Runs `urg emulate`, and waits until it serves.
     pub(crate) fn start(arguments: &str) -> Self {
+        let began = Instant::now();
         let mut running = Running::start(&format!("emulate {arguments}"));
         let notice = running.notice();
         let (_, port) = notice.rsplit_once(", on ").unwrap_or_else(|| panic!("{notice}"));
         let port = port.to_owned();
-        Self { _link: PortLink(port.clone()), running, port }
+        Self { _link: PortLink(port.clone()), running, port, began }
     }
 }
 

@@ -140,7 +140,7 @@ async fn recording_and_replay_have_the_sensors_scans() {
     assert!(output.stderr.ends_with(", none lost\n"), "{}", output.stderr);
 
     let replay = run(&format!("stream {} --rate max --count {SCANS}", file.path()), 0);
-    check_held(&replay.stdout, &held(7).await);
+    check_held(&replay.stdout, &held(7, sensor.began).await);
     let (recorded, _) = contents(Recording::open(file.path()).unwrap());
     assert_eq!(recorded.len(), SCANS);
     // A replay at another rate keeps the recorded stamps.

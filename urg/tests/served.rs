@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::sync::mpsc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio_scip::{Sensor, Window};
 use urg_emulator::{Emulator, Room, STEPS, Values, World, WorldTime};
@@ -18,13 +18,14 @@ const REVOLUTION: Duration = Duration::from_millis(50);
 /// Number of scans compared with the sensor's.
 pub(crate) const SCANS: usize = 30;
 
-/// Returns the values of steps 44..=725 in each of the first revolutions of a [`FAST`]
-/// sensor with this seed, with the number of the revolution.
-pub(crate) async fn held(seed: u64) -> HashMap<Vec<u64>, u64> {
+/// Returns the values of steps 44..=725 in each revolution of a [`FAST`] sensor with this seed that
+/// `began` before this time, with the number of the revolution.
+pub(crate) async fn held(seed: u64, began: Instant) -> HashMap<Vec<u64>, u64> {
+    let revolutions = began.elapsed().div_duration_f64(REVOLUTION).ceil() as u32;
     let (sender, receiver) = mpsc::channel();
     let mut room = Room::new(seed);
     let world = move |mut time: WorldTime, codes: &mut Values| {
-        for revolution in 0..1500_u32 {
+        for revolution in 0..revolutions {
             let mut codes = [19; STEPS];
             time.revolution = revolution.into();
             time.at = REVOLUTION * (revolution + 1);
@@ -69,7 +70,7 @@ async fn scans_over_a_pseudo_terminal_are_those_of_the_sensor() {
     assert!(info.contains("SOKUIKI Sensor URG-04LX"), "{info}");
     let output = run(&stream(&sensor.port), 0);
     assert_eq!(output.stderr, "");
-    check_held(&output.stdout, &held(7).await);
+    check_held(&output.stdout, &held(7, sensor.began).await);
 }
 
 #[tokio::test]
@@ -82,7 +83,7 @@ async fn scans_over_tcp_are_those_of_the_sensor() {
     assert!(info.contains("serial number  H1234567"), "{info}");
     assert!(!info.contains("\nstatus"), "the text knows of none: {info}");
     let output = run(&stream(&sensor.port), 0);
-    check_held(&output.stdout, &held(8).await);
+    check_held(&output.stdout, &held(8, sensor.began).await);
 }
 
 #[tokio::test]
@@ -90,7 +91,7 @@ async fn a_sensor_at_19200_baud_serves_at_115200() {
     let link = Scratch::new("faster");
     let sensor = Emulated::start(&format!("--link {} --baud 19200 --seed 9 {FAST}", link.path()));
     let output = run(&format!("{} --baud 115200", stream(&sensor.port)), 0);
-    check_held(&output.stdout, &held(9).await);
+    check_held(&output.stdout, &held(9, sensor.began).await);
     // It keeps this baud rate, and is found at it.
     let info = run(&format!("info {}", sensor.port), 0).stdout;
     assert!(info.contains("baud rate      115200 baud"), "{info}");
