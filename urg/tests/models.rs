@@ -83,15 +83,20 @@ fn a_protocol_can_be_asked_for() {
 fn the_state_has_what_the_page_needs_of_a_model() {
     let (_runtime, port) = ust();
     let served = Served::start(&format!("{port} --from 0"));
-    served.get("/scans?max=1").line().unwrap();
+    served.get("/scans?max=3").text();
     let state = served.state();
+    // The driver has the intervals of these scans, which are no latency.
+    assert!(state["stats"]["reply_latency"]["count"].as_u64() > Some(0), "{state}");
+    assert_eq!(state["latency"], Value::Null);
     assert_eq!(state["geometry"]["max_distance"], 30_000);
     assert_eq!(state["codes"]["65533"]["meaning"], "nothing in range");
     assert_eq!((&state["reach"], &state["window"]["end"]), (&30.6.into(), &1080.into()));
     let served = Served::start("emulated");
     served.get("/scans?max=1").line().unwrap();
-    let code = &served.state()["codes"]["7"]["meaning"];
+    let state = served.state();
+    let code = &state["codes"]["7"]["meaning"];
     assert_eq!(code, "Distance data on the preceding and succeeding steps have errors");
+    assert!(state["latency"]["max"].as_f64() > Some(0.0), "{state}");
 }
 
 #[test]

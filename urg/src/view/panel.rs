@@ -2,6 +2,7 @@
 
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
+use tokio_scip::protocol::Protocol;
 use tokio_scip::{Point, Scan, State};
 
 use super::layer::Layer;
@@ -44,10 +45,8 @@ pub(crate) fn details(model: &Model, layer: &Layer, palette: Palette) -> Vec<Lin
     let title = format!("of {}:", layer.label());
     let mut lines = vec![Line::styled(title, Palette::quiet())];
     lines.extend(panel.window());
-    let mut figures = vec![panel.latency()];
-    figures.extend(panel.losses());
-    figures.extend(panel.missing());
-    lines.extend(figures.into_iter().map(|line| dimmed_if_old(line, model, layer)));
+    let figures = panel.latency().into_iter().chain(panel.losses()).chain(panel.missing());
+    lines.extend(figures.map(|line| dimmed_if_old(line, model, layer)));
     lines
 }
 
@@ -144,9 +143,8 @@ impl Panel<'_> {
 
     fn pace(&self) -> Vec<Line<'static>> {
         let scans = self.layer.stats.scans.to_string();
-        let mut lines = vec![self.rate(), self.latency(), self.row("scans", scans)];
-        lines.extend(self.losses());
-        lines
+        let figures = [self.rate()].into_iter().chain(self.latency());
+        figures.chain([self.row("scans", scans)]).chain(self.losses()).collect()
     }
 
     fn rate(&self) -> Line<'static> {
@@ -163,18 +161,13 @@ impl Panel<'_> {
         self.styled("rate", format!("{reached:.1} {of}"), style)
     }
 
-    fn latency(&self) -> Line<'static> {
-        let latency = self.layer.stats.reply_latency;
-        let text = match latency.count {
-            0 => "-".to_owned(),
-            _ => format!(
-                "{} ms ({} to {})",
-                latency.last.as_millis(),
-                latency.min.as_millis(),
-                latency.max.as_millis()
-            ),
-        };
-        self.row("latency", text)
+    /// Latency of polls. The scans of SCIP 2 are not polled: their statistics have the intervals.
+    fn latency(&self) -> Option<Line<'static>> {
+        let polled = self.layer.scan.as_ref()?.geometry().protocol() == Protocol::Scip1;
+        let latency = Some(self.layer.stats.reply_latency);
+        let latency = latency.filter(|latency| polled && latency.count > 0)?;
+        let [last, min, max] = [latency.last, latency.min, latency.max].map(|one| one.as_millis());
+        Some(self.row("latency", format!("{last} ms ({min} to {max})")))
     }
 
     /// Counts the polls without a scan, one row per cause, because two causes do not fit in a row.

@@ -136,6 +136,7 @@ class Sensor {
     const { stats, sensor, latency, jitter, asked, reached, why, window, link, baud_rate: baud, playback } = this.report;
     if (stats && !why) {
       this.figure("rate", reached ? reached.toFixed(1) : "–", asked ? `of ${Number(asked.toFixed(2))} Hz` : "Hz");
+      this.of("latency").parentElement.hidden = !latency;
       if (latency) this.figure("latency", (latency.last * 1000).toFixed(0), "ms", `mean ${(latency.mean * 1000).toFixed(0)} ms`);
       if (jitter) {
         const [min, max, deviation] = [jitter.min, jitter.max, jitter.deviation].map((seconds) => seconds * 1000);

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use hyper::StatusCode;
 use serde_json::{Value, json};
+use tokio_scip::protocol::Protocol;
 use tokio_scip::{Scan, Sensor};
 
 use super::Site;
@@ -31,11 +32,12 @@ fn sensor(source: &SiteSource) -> Value {
     let sensor = hub.and_then(Hub::sensor);
     let jitter = hub.and_then(Hub::jitter);
     let stats = hub.map(|_| sensor.map(Sensor::stats).unwrap_or_default());
-    let latency = stats.as_ref().map(|stats| stats.reply_latency);
     let schedule = stats.as_ref().and_then(|stats| stats.schedules.first());
     let reached = schedule.and_then(|schedule| schedule.reached);
     let latest = source.latest();
     let geometry = latest.as_ref().map(Scan::geometry);
+    let is_polled = geometry.is_some_and(|geometry| geometry.protocol() == Protocol::Scip1);
+    let latency = stats.as_ref().map(|stats| stats.reply_latency).filter(|_| is_polled);
     json!({
         "name": source.name(),
         "pose": {
@@ -58,6 +60,7 @@ fn sensor(source: &SiteSource) -> Value {
         "asked": hub.and_then(|_| source.picture.rate.period()).map(|one| 1.0 / one.as_secs_f64()),
         "reached": reached.or_else(|| jitter.map(|jitter| 1.0 / jitter.mean)),
         "age": sensor.and_then(|sensor| sensor.freshness().age()).map(|age| age.as_secs_f64()),
+        // From a poll to the end of its reply; null in SCIP 2, whose scans are not polled.
         "latency": latency.filter(|latency| latency.count > 0).map(|latency| json!({
             "last": latency.last.as_secs_f64(),
             "mean": latency.total.as_secs_f64() / latency.count.max(1) as f64,
