@@ -111,17 +111,18 @@ pub enum RecordingError {
         /// Check that failed.
         reason: &'static str,
     },
-    /// The recording has neither replies to polls nor `/scan` messages of a URG.
+    /// The recording has neither replies to polls nor messages with scans of a URG.
     #[error(
-        "no scan in this recording: expected replies of a sensor, or sensor_msgs/msg/LaserScan of a URG on the topic /scan{}{}",
+        "no scan in this recording: expected replies of a sensor, or sensor_msgs/msg/LaserScan of a URG on the topic {topic}{}{}",
         listed(left_out),
         instead(left_out, topics, others)
     )]
     NoScans {
+        /// Topic that was read: `/scan`, or what you passed to [`Recording::topic`](super::Recording::topic).
+        topic: String,
         /// Messages that were read and are no scan.
         left_out: Vec<LeftOut>,
-        /// Other topics with laser scans, at most 16: [`Recording::topic`](super::Recording::topic)
-        /// reads them.
+        /// Other topics with laser scans, at most 16.
         topics: Vec<String>,
         /// Topics with messages of other types, at most 16: `/tf (tf2_msgs/msg/TFMessage)`.
         others: Vec<String>,

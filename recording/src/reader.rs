@@ -222,7 +222,8 @@ impl Recording {
         let mut left_out = self.left_out.counts();
         // The topics are named.
         left_out.retain(|count| count.reason != LeftOutReason::OtherTopic);
-        RecordingError::NoScans { left_out, topics, others }
+        let topic = self.topic.as_deref().unwrap_or(Topic::Scans.name()).to_owned();
+        RecordingError::NoScans { topic, left_out, topics, others }
     }
 
     /// Counts a scan on another topic.

@@ -31,9 +31,7 @@ impl Recording {
         let builder = Emulator::builder().version_lines(lines);
         let builder = match replies.model.0.as_deref() {
             // Any model of SCIP 2 on USB, but one that asking for intensities would lock.
-            Some(parameters) => {
-                builder.model(EmulatedModel::Utm30lx).parameters(parameters.clone())
-            }
+            Some(told) => builder.model(EmulatedModel::Utm30lx).parameters(told.clone()),
             None => builder,
         };
         Ok(builder.script(replies, pace).build())

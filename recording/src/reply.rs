@@ -79,10 +79,8 @@ impl RecordedReply {
 
     pub(super) fn kind(&self) -> ReplyKind {
         // After power-up in SCIP 2 the laser is off. The driver switches it on, and asks again.
-        if self.request.is_some() && self.after_echo() == Some(b"\n10Q\n\n") {
-            return ReplyKind::Other;
-        }
-        if self.is_streamed() && self.after_echo() == Some(b"\n00P\n\n") {
+        let is_refusal = self.request.is_some() && self.after_echo() == Some(b"\n10Q\n\n");
+        if is_refusal || self.is_streamed() && self.after_echo() == Some(b"\n00P\n\n") {
             return ReplyKind::Other;
         }
         match (self.command, self.request.as_ref().map(Request::command)) {
@@ -144,10 +142,8 @@ impl RecordedReply {
     }
 
     pub(super) fn parameters(&self) -> Option<Parameters> {
-        match self.scip2()? {
-            Content::Parameters(parameters) => Some(parameters),
-            _ => None,
-        }
+        let Content::Parameters(parameters) = self.scip2()? else { return None };
+        Some(parameters)
     }
 
     pub(super) fn values(&self) -> Option<Values> {
@@ -155,14 +151,12 @@ impl RecordedReply {
             let distances = self.scip1()?.values().iter().map(|value| u32::from(*value)).collect();
             return Some(Values { distances, ..Values::default() });
         }
-        match self.scip2()? {
-            Content::Scan(scan) => Some(Values {
-                distances: scan.distances().to_vec(),
-                intensities: scan.intensities().to_vec(),
-                clock: Some(scan.stamp),
-            }),
-            _ => None,
-        }
+        let Content::Scan(scan) = self.scip2()? else { return None };
+        Some(Values {
+            distances: scan.distances().to_vec(),
+            intensities: scan.intensities().to_vec(),
+            clock: Some(scan.stamp),
+        })
     }
 
     /// The same reply to another request, as it is written on the wire: with its echo, and in SCIP 2 with

@@ -11,7 +11,7 @@ use urg_emulator::Emulator;
 use urg_recording::{Recorder, ros};
 
 use super::formats::{self, scans, values};
-use super::program::{Scratch, failure, run};
+use super::program::{Scratch, failure, output_of, run, shell};
 
 /// Message of a bag.
 struct Message {
@@ -155,8 +155,11 @@ fn a_bag_without_a_scan_is_named_for_what_it_is() {
     );
     // The scans of `/scan` are there to choose.
     write(&file, (0..5).map(|tenth| scan(windows()[0], tenth)));
-    let line = failure(&format!("info {} --topic /other", file.path()));
-    assert!(line.ends_with("; choose a topic: /scan\n"), "{line}");
+    for command in ["info", "check", "stream", "scan", "serve"] {
+        let line = failure(&format!("{command} {} --topic /other", file.path()));
+        let advice = " on the topic /other; choose a topic: /scan\n";
+        assert!(line.ends_with(advice), "{command}: {line}");
+    }
 }
 
 #[test]
@@ -170,6 +173,14 @@ fn a_bag_is_streamed_with_its_window_and_pace() {
     // At the rate of a sensor, 10 Hz, it would take 6 s.
     assert!(began.elapsed() < Duration::from_secs(5), "{:?}", began.elapsed());
     let scan = run(&format!("scan {} --format json", file.path()), 0).stdout;
+    let steps_and_values = |ndjson: &str| {
+        let of = |scan: &Value| (scan["start"].clone(), scan["end"].clone(), values(scan));
+        formats::scans(ndjson).iter().map(of).collect::<Vec<_>>()
+    };
+    assert_eq!(
+        steps_and_values(&piped(&file, "stream - --format ndjson")),
+        steps_and_values(&streamed)
+    );
     let scans = scans(&(streamed + &scan));
     assert_eq!(scans.len(), 61);
     for scan in &scans {
@@ -183,6 +194,34 @@ fn a_bag_is_streamed_with_its_window_and_pace() {
     }
     let other = run(&format!("stream {} --from -10 --to 10 --rate max", file.path()), 0).stdout;
     assert_ne!(scans[0]["start"], formats::scans(&other)[0]["start"]);
+}
+
+/// Runs the program with a bag on its standard input, of which only the beginning can be read twice.
+fn piped(file: &Scratch, arguments: &str) -> String {
+    let output = output_of(shell(&format!("cat {} | $urg {arguments}", file.path())));
+    assert_eq!(output.code, Some(0), "{arguments}: {}", output.stderr);
+    output.stdout
+}
+
+#[test]
+fn a_bag_in_a_pipe_has_the_window_of_its_topic() {
+    let file = Scratch::mcap("piped");
+    let rear = |n| Message { topic: "/rear/scan", ..scan(windows()[1], n) };
+    write(&file, (0..5).flat_map(|n| [scan(windows()[0], n), rear(n)]));
+    for (topic, window) in ["/scan", "/rear/scan"].into_iter().zip(windows()) {
+        for command in ["stream - --rate max --format ndjson", "scan - --format json"] {
+            let text = piped(&file, &format!("{command} --topic {topic}"));
+            let scans = scans(&text);
+            assert_eq!(scans.len(), if command.starts_with("scan") { 1 } else { 5 }, "{text}");
+            for scan in scans {
+                assert_eq!(
+                    (&scan["start"], &scan["end"]),
+                    (&json!(window.start()), &json!(window.end()))
+                );
+                assert_eq!(values(&scan).len(), window.points());
+            }
+        }
+    }
 }
 
 #[test]

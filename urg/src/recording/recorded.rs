@@ -2,7 +2,7 @@
 
 use std::fmt;
 use std::future::poll_fn;
-use std::io::{self, IsTerminal};
+use std::io::{self, Cursor, IsTerminal, Read};
 use std::ops::Bound;
 use std::path::{Path, PathBuf};
 use std::pin::pin;
@@ -34,6 +34,8 @@ pub(crate) struct Recorded {
     path: PathBuf,
     /// Standard input, once it is opened and until it is read. `None` for a file.
     stdin: Option<Arc<Mutex<Option<Recording>>>>,
+    /// Beginning of standard input, as far as it was read when it was opened.
+    head: Arc<[u8]>,
     window: Option<Window>,
     rate: Option<Rate>,
     pace: ReplayPace,
@@ -81,12 +83,14 @@ impl Recorded {
                         into it, as in `ssh robot urg record PORT - | urg stream -`";
             return Err(Failure::Usage(text.to_owned()));
         }
-        let here = self.clone();
+        let (here, head) = (self.clone(), Arc::new(Mutex::new(Some(Vec::new()))));
+        let input = KeptInput(Arc::clone(&head));
         let opened = tokio::task::spawn_blocking(move || match here.stdin {
-            Some(_) => Recording::read(io::stdin()).map_err(|error| here.failure(&error)),
+            Some(_) => Recording::read(input).map_err(|error| here.failure(&error)),
             None => here.open(),
         });
         let recording = opened.await.map_err(|error| self.failure(&error))??;
+        self.head = head.lock().take().unwrap_or_default().into();
         self.window = recording.window();
         // The scans of a stream come as the motor turns: polls at the rate that was asked for fall behind.
         let is_streamed = recording.metadata().contains_key("ARES");
@@ -175,9 +179,15 @@ impl Recorded {
         self.stdin.is_some() || self.first_scan().is_some_and(|scan| scan.intensities().is_some())
     }
 
-    /// Reads the first scan of a file. Standard input cannot be read twice.
+    /// Reads the first scan. Of standard input, only its beginning can be read twice.
     fn first_scan(&self) -> Option<Scan> {
-        self.stdin.is_none().then(|| self.open().ok())??.scans().find_map(Result::ok)
+        let recording = match &self.stdin {
+            None => self.open().ok()?,
+            Some(_) => {
+                Recording::read(Cursor::new(Arc::clone(&self.head))).ok()?.topic(self.topic())
+            }
+        };
+        recording.scans().find_map(Result::ok)
     }
 
     /// Describes what a replay has left out of the stream, if anything.
@@ -215,10 +225,7 @@ impl Recorded {
                 .take()
                 .ok_or_else(|| Failure::Failed(format!("{self}: it can be read only once")))?,
         };
-        Ok(match &self.topic {
-            Some(topic) => recording.topic(topic),
-            None => recording,
-        })
+        Ok(recording.topic(self.topic()))
     }
 
     /// Describes an error at the first scan. The range may contain no scan.
@@ -246,6 +253,19 @@ impl fmt::Display for Recorded {
             Some(_) => f.write_str("standard input"),
             None => self.path.display().fmt(f),
         }
+    }
+}
+
+/// Standard input. Keeps what is read, until somebody takes that.
+struct KeptInput(Arc<Mutex<Option<Vec<u8>>>>);
+
+impl Read for KeptInput {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let count = io::stdin().read(bytes)?;
+        if let Some(kept) = &mut *self.0.lock() {
+            kept.extend(bytes.get(..count).unwrap_or_default());
+        }
+        Ok(count)
     }
 }
 

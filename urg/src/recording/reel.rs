@@ -45,8 +45,9 @@ impl Reel {
         }
         if positions.is_empty() {
             let left_out = scans.recording().left_out().counts();
-            let (topics, others) = (Vec::new(), Vec::new());
-            return Err(recorded.no_scans(&RecordingError::NoScans { left_out, topics, others }));
+            let (topic, topics, others) = (recorded.topic().to_owned(), Vec::new(), Vec::new());
+            let error = RecordingError::NoScans { topic, left_out, topics, others };
+            return Err(recorded.no_scans(&error));
         }
         let version = scans.version();
         let scans = recorded.open()?.scans();
