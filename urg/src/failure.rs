@@ -21,12 +21,24 @@ impl Failure {
         Self::Failed(format!("{what}: {}", chain(error)))
     }
 
-    /// Describes an error on `port`. Adds the port unless the error already names it.
+    /// Describes an error on `port`, with its causes.
     pub(crate) fn at(port: impl fmt::Display, error: &dyn Error) -> Self {
-        let line = chain(error);
+        Self::on(port, chain(error))
+    }
+
+    /// Describes what went wrong on `port`. Adds the port unless the line already names it.
+    pub(crate) fn on(port: impl fmt::Display, line: String) -> Self {
         match line.contains(&port.to_string()) {
             true => Self::Failed(line),
             false => Self::Failed(format!("{port}: {line}")),
+        }
+    }
+
+    /// Adds what to do.
+    pub(crate) fn advise(self, advice: impl fmt::Display) -> Self {
+        match self {
+            Self::Failed(line) => Self::Failed(format!("{line}; {advice}")),
+            other => other,
         }
     }
 

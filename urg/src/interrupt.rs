@@ -15,6 +15,9 @@ use crate::wait::wait_for_value;
 /// Time that an interrupted command has to finish.
 const COMMAND_GRACE: Duration = Duration::from_secs(1);
 
+/// How a command ended.
+type Outcome = Result<(), Failure>;
+
 #[derive(Debug, Clone)]
 pub(crate) struct Interrupt {
     since: watch::Receiver<Option<Instant>>,
@@ -47,10 +50,7 @@ impl Interrupt {
     }
 
     /// Waits for `work`, and drops it if it has not finished a second after an interrupt.
-    pub(crate) async fn limit(
-        &self,
-        work: impl Future<Output = Result<(), Failure>>,
-    ) -> Result<(), Failure> {
+    pub(crate) async fn limit(&self, work: impl Future<Output = Outcome>) -> Outcome {
         tokio::select! {
             done = work => done,
             () = self.overdue() => Err(Failure::Interrupted),
@@ -69,10 +69,7 @@ impl Interrupt {
     }
 
     /// Does the same, but says that the work is not done.
-    pub(crate) async fn or_fail(
-        &self,
-        work: impl Future<Output = Result<(), Failure>>,
-    ) -> Result<(), Failure> {
+    pub(crate) async fn or_fail(&self, work: impl Future<Output = Outcome>) -> Outcome {
         self.unless(work).await.map_err(|failure| match failure {
             Failure::Interrupted => Failure::Failed("interrupted before it was done".into()),
             failure => failure,

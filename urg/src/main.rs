@@ -80,7 +80,7 @@ use crate::view::View;
     bin_name = "urg",
     version,
     arg_required_else_help = true,
-    after_help = help()
+    after_help = HELP
 )]
 struct Cli {
     #[command(subcommand)]
@@ -109,8 +109,7 @@ enum Command {
 }
 
 /// Last part of the help: forms of PORT, and examples.
-fn help() -> &'static str {
-    "\
+const HELP: &str = "\
 PORT is one of
   /dev/ttyACM0, COM3      a serial port; /dev/serial/by-path/... names stay the same
   serial:H0713090         the sensor of this serial number, wherever it is plugged in
@@ -126,8 +125,7 @@ Examples:
   urg view emulated                         a live radar, without any hardware
   urg stream emulated --count 20            20 scans, without any hardware
   urg record /dev/ttyACM0 run.mcap          record, then replay: urg view run.mcap
-  urg emulate --link /tmp/urg               an emulated sensor for other programs"
-}
+  urg emulate --link /tmp/urg               an emulated sensor for other programs";
 
 fn main() -> ExitCode {
     let outcome = match arguments().map(Cli::try_parse_from) {
@@ -218,9 +216,7 @@ async fn run_command(command: Command) -> Result<(), Failure> {
         Command::List(list) => interrupt.unless(list.run()).await,
         Command::Info(info) => interrupt.unless(info.run()).await,
         Command::Emulate(emulate) => interrupt.unless(emulate.run()).await,
-        Command::Completions(completions) => {
-            interrupt.unless(completions.run(Cli::command())).await
-        }
+        Command::Completions(shell) => interrupt.unless(shell.run(Cli::command())).await,
         Command::Man(man) => interrupt.unless(man.run(Cli::command())).await,
         // So can these, but a script would take success for work that is done.
         Command::Scan(scan) => interrupt.or_fail(scan.run()).await,

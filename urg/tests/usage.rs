@@ -45,6 +45,19 @@ fn baud_takes_the_options_of_the_link_but_another_baud_rate() {
     assert_eq!(options, ["--protocol", "--wait", "--timeout"]);
 }
 
+/// A recording has nothing to switch.
+#[test]
+fn commands_that_change_a_sensor_offer_no_recording() {
+    for (command, argument) in [("laser", "<on|off>"), ("baud", "<RATE>"), ("reboot", "")] {
+        let help = run(&format!("{command} -h"), 0).stdout;
+        assert!(help.contains("serial:NUMBER") && !help.contains("FILE"), "{help}");
+        // The argument is beside PORT, before all options.
+        let arguments = help.split("\nArguments:\n").nth(1).unwrap();
+        assert!(arguments.split("\n\n").next().unwrap().contains(argument), "{help}");
+        assert!(!help.contains("--intensity"), "{help}");
+    }
+}
+
 /// A build without some compression suggests no command that needs it.
 #[test]
 fn the_example_of_a_compression_works_in_this_build() {
@@ -164,12 +177,36 @@ fn a_port_in_use_is_reported_as_such() {
 #[test]
 fn an_emulated_sensor_that_cannot_be_served_is_a_failure() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    let line = failure(&format!("emulate --tcp {}", taken.local_addr().unwrap()));
+    let taken = taken.local_addr().unwrap();
+    let line = failure(&format!("emulate --tcp {taken}"));
     assert!(line.contains("cannot serve on 127.0.0.1"), "{line}");
+    assert!(line.contains("; --tcp chooses another address"), "{line}");
+    let line = failure(&format!("serve emulated --listen {taken}"));
+    assert!(line.contains("cannot listen on 127.0.0.1"), "{line}");
+    assert!(line.contains("; --listen chooses another address"), "{line}");
     let file = Scratch::new("file");
     std::fs::write(file.path(), "mine").unwrap();
     failure(&format!("emulate --link {}", file.path()));
     assert_eq!(std::fs::read(file.path()).unwrap(), b"mine");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_missing_folder_is_named() {
+    let folder = Scratch::new("no-folder");
+    let new = format!("{}/run.mcap", folder.path());
+    let file = Scratch::mcap("in-a-folder");
+    run(&format!("record emulated {} --count 2", file.path()), 0);
+    for command in [format!("record emulated {new}"), format!("cut {} {new}", file.path())] {
+        let line = failure(&command);
+        let advice = format!("; there is no folder {}: create it first\n", folder.path());
+        assert!(line.contains(&new) && line.ends_with(&advice), "{line}");
+    }
+    // A link to such a file is in a folder.
+    let link = Scratch::mcap("linked");
+    std::os::unix::fs::symlink(&new, link.path()).unwrap();
+    let line = failure(&format!("record emulated {} --force", link.path()));
+    assert!(line.contains("No such file") && !line.contains("no folder"), "{line}");
 }
 
 #[test]
@@ -194,6 +231,7 @@ fn a_misspelt_or_misplaced_word_gets_a_hint() {
     for (arguments, hint) in [
         ("stream emulatd", "did you mean `emulated`?"),
         ("laser off emulated", "expected a port, and off after it"),
+        ("baud 115200 emulated", "expected a port, and 115200 after it"),
         ("laser emulated of", "expected on or off, after PORT"),
         ("steam emulated", "'stream'"),
         ("scan emulated --window half", "such as 44..725"),
@@ -270,9 +308,13 @@ fn bytes_that_are_no_reply_are_counted() {
 async fn a_recording_has_nothing_to_switch() {
     let file = Scratch::mcap("switched");
     super::recorded::recording(file.path(), tokio_scip::Window::DETECTION, 3).await;
-    for command in
-        ["laser PORT off", "baud PORT 19200", "check PORT --duration 1m", "check PORT --baud 19200"]
-    {
+    for command in [
+        "laser PORT off",
+        "baud PORT 19200",
+        "reboot PORT",
+        "check PORT --duration 1m",
+        "check PORT --baud 19200",
+    ] {
         let stderr = run(&command.replace("PORT", file.path()), 2).stderr;
         assert!(stderr.contains("is a recording"), "{stderr}");
     }

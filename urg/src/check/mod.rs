@@ -15,7 +15,7 @@ use crate::interrupt::Interrupt;
 use crate::output::stdout::print;
 use crate::port::name::PortArg;
 use crate::port::open::open;
-use crate::recording::span::TopicArgs;
+use crate::recording::span::{RangeArgs, TopicArgs};
 
 const DEFAULT_DURATION: Duration = Duration::from_secs(5);
 
@@ -54,7 +54,7 @@ impl Check {
 
     async fn check(&self) -> Result<(), Failure> {
         let mut port = self.port.required().await?;
-        port.choose_topic(&self.topic)?;
+        port.choose(RangeArgs::default(), &self.topic)?;
         let mut report = CheckReport(Vec::new());
         if let Some(recorded) = port.recorded() {
             if self.duration.is_some() || self.link.baud.is_some() {
@@ -76,9 +76,7 @@ impl Check {
                     report.add(step).await?;
                 }
             }
-            Err(Failure::Failed(line)) => {
-                report.add(Finding::failed("link", line)).await?;
-            }
+            Err(Failure::Failed(line)) => report.add(Finding::failed("link", line)).await?,
             Err(other) => return Err(other),
         }
         report.end(&port.to_string()).await

@@ -16,14 +16,12 @@ use crate::recording::contents::{Contents, Row};
 /// Describes the link that was found `after` this time.
 pub(crate) async fn link(port: &PortName, sensor: &Sensor, after: Duration) -> Finding {
     let after = format!("after {:.1} s", after.as_secs_f64());
-    Finding::ok(
-        "link",
-        match proven_baud_rate(sensor).await {
-            None => format!("found on {} {after}", port.line()),
-            Some((rate, None)) => format!("found at {rate} baud {after}"),
-            Some((_, Some(why))) => format!("found {after}; {why}"),
-        },
-    )
+    let text = match proven_baud_rate(sensor).await {
+        None => format!("found on {} {after}", port.line()),
+        Some((rate, None)) => format!("found at {rate} baud {after}"),
+        Some((_, Some(why))) => format!("found {after}; {why}"),
+    };
+    Finding::ok("link", text)
 }
 
 pub(crate) async fn version(sensor: &Sensor) -> Finding {

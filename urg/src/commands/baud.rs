@@ -2,12 +2,9 @@
 
 use tokio_scip::BaudRate;
 
-use crate::args::LinkArgs;
-use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::output::notice::notice;
-use crate::port::name::PortArg;
-use crate::port::open::{open, proven_baud_rate};
+use crate::port::open::{SensorArgs, proven_baud_rate};
 
 /// Set the baud rate of the sensor
 ///
@@ -16,24 +13,19 @@ use crate::port::open::{open, proven_baud_rate};
 #[derive(Debug, clap::Args)]
 #[command(
     allow_missing_positional = true, mut_arg("baud", |option| option.hide(true)), // RATE instead
-    mut_arg("intensity", |option| option.hide(true)), // It takes no scan.
     after_help = "Example:\n  urg baud /dev/ttyUSB0 115200"
 )]
 pub(crate) struct Baud {
     #[command(flatten)]
-    port: PortArg,
+    sensor: SensorArgs,
     /// 19200, 57600, 115200, 250000, 500000 or 750000
-    #[arg(value_name = "RATE")]
+    #[arg(value_name = "RATE", help_heading = None)]
     baud_rate: BaudRate,
-    #[command(flatten)]
-    link: LinkArgs,
 }
 
 impl Baud {
     pub(crate) async fn run(self) -> Result<(), Failure> {
-        let port = self.port.required().await?;
-        port.require_sensor()?;
-        let sensor = open(&port, &self.link, Delivery::Newest).await?;
+        let (port, sensor) = self.sensor.open().await?;
         let moved = sensor.set_baud_rate(self.baud_rate).await;
         moved.map_err(|error| Failure::at(&port, &error))?;
         match proven_baud_rate(&sensor).await {

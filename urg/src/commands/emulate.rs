@@ -160,7 +160,10 @@ impl Emulate {
     }
 
     async fn serve_tcp(&self, emulator: &Emulator, address: &str) -> Result<(), Failure> {
-        let failed = |error| Failure::new(format_args!("cannot serve on {address}"), &error);
+        let failed = |error| {
+            Failure::new(format_args!("cannot serve on {address}"), &error)
+                .advise("--tcp chooses another address, such as `--tcp 4002`")
+        };
         let listener = TcpListener::bind(address).await.map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
         let speed = self.baud.filter(|speed| *speed != BaudRate::B19200);
@@ -194,14 +197,8 @@ impl Emulate {
             None => "on USB".to_owned(),
         };
         notice(format_args!("emulated sensor {} {line}, on {port}", self.serial_number));
-        match self.model {
-            ModelName::Urg04lx => {
-                notice(format_args!("try `urg info {port}`; Ctrl-C stops the sensor"));
-            }
-            _ => notice(format_args!(
-                "it speaks SCIP 2: try `urg info {port}`; Ctrl-C stops the sensor"
-            )),
-        }
+        let scip2 = if self.model == ModelName::Urg04lx { "" } else { "it speaks SCIP 2: " };
+        notice(format_args!("{scip2}try `urg info {port}`; Ctrl-C stops the sensor"));
     }
 }
 

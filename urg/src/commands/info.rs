@@ -16,7 +16,7 @@ use crate::output::stdout::print;
 use crate::port::name::{PortArg, PortName};
 use crate::port::open::{open, proven_baud_rate};
 use crate::recording::contents::{Contents, Row};
-use crate::recording::span::TopicArgs;
+use crate::recording::span::{RangeArgs, TopicArgs};
 
 /// Show the identity and settings of a sensor
 ///
@@ -50,7 +50,7 @@ enum InfoFormat {
 impl Info {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let mut port = self.port.required().await?;
-        port.choose_topic(&self.topic)?;
+        port.choose(RangeArgs::default(), &self.topic)?;
         let (version, geometry, baud_rate, rows): (_, _, _, Vec<Row>) = match port.recorded() {
             Some(recorded) => {
                 let Contents { version, geometry, baud_rate, rows, .. } =
@@ -141,16 +141,14 @@ fn text(
     row("vendor", version.vendor.to_string());
     row("serial number", version.serial_number.to_string());
     row("firmware", version.firmware.to_string());
-    row(
-        "protocol",
-        match geometry {
-            // A bag of another program does not tell it.
-            Some(geometry) if !version.protocol.as_bytes().is_empty() => {
-                format!("{} (its own text: {})", geometry.protocol(), version.protocol)
-            }
-            _ => version.protocol.to_string(),
-        },
-    );
+    let protocol = match geometry {
+        // A bag of another program does not tell it.
+        Some(geometry) if !version.protocol.as_bytes().is_empty() => {
+            format!("{} (its own text: {})", geometry.protocol(), version.protocol)
+        }
+        _ => version.protocol.to_string(),
+    };
+    row("protocol", protocol);
     if let Some(status) = &version.status {
         row("status", status.to_string());
     }

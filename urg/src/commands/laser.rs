@@ -1,31 +1,22 @@
 //! `urg laser`: switches the laser.
 
-use crate::args::LinkArgs;
-use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::output::notice::notice;
-use crate::port::name::PortArg;
-use crate::port::open::open;
+use crate::port::open::SensorArgs;
 
 /// Switch the laser on or off
 ///
 /// The laser keeps this state after the program exits, until you power-cycle the
 /// sensor or a program asks for scans.
 #[derive(Debug, clap::Args)]
-#[command(
-    allow_missing_positional = true,
-    // It takes no scan.
-    mut_arg("intensity", |option| option.hide(true)),
-    after_help = "Example:\n  urg laser /dev/ttyACM0 off"
-)]
+#[command(allow_missing_positional = true, after_help = "Example:\n  urg laser /dev/ttyACM0 off")]
 pub(crate) struct Laser {
     #[command(flatten)]
-    port: PortArg,
+    sensor: SensorArgs,
     /// New state of the laser
-    #[arg(value_name = "on|off", value_parser = is_on, action = clap::ArgAction::Set)]
+    #[arg(value_name = "on|off", value_parser = is_on, action = clap::ArgAction::Set,
+        help_heading = None)]
     is_on: bool,
-    #[command(flatten)]
-    link: LinkArgs,
 }
 
 fn is_on(text: &str) -> Result<bool, &'static str> {
@@ -38,9 +29,7 @@ fn is_on(text: &str) -> Result<bool, &'static str> {
 
 impl Laser {
     pub(crate) async fn run(self) -> Result<(), Failure> {
-        let port = self.port.required().await?;
-        port.require_sensor()?;
-        let sensor = open(&port, &self.link, Delivery::Newest).await?;
+        let (port, sensor) = self.sensor.open().await?;
         let (switched, state) = match self.is_on {
             true => (sensor.laser_on().await, "on"),
             false => (sensor.laser_off().await, "off"),

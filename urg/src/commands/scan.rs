@@ -11,7 +11,7 @@ use crate::format::{json_line, svg, table};
 use crate::output::stdout::print;
 use crate::port::name::PortArg;
 use crate::port::open::open;
-use crate::recording::span::TopicArgs;
+use crate::recording::span::{RangeArgs, TopicArgs};
 
 /// Take one scan
 ///
@@ -56,7 +56,7 @@ enum ScanFormat {
 impl ScanOnce {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let mut port = self.port.required().await?;
-        port.choose_topic(&self.topic)?;
+        port.choose(RangeArgs::default(), &self.topic)?;
         let window = self.window.window(port.default_window())?;
         let sensor = open(&port, &self.link, Delivery::Newest).await?;
         let at_port = |error| Failure::at(&port, &error);

@@ -74,7 +74,10 @@ impl Serve {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
         let PictureArgs { playback, link, .. } = &self.picture;
         let picture = interrupt.unless(self.picture.sources()).await?;
-        let failed = |error| Failure::new(format_args!("cannot listen on {}", self.listen), &error);
+        let failed = |error| {
+            Failure::new(format_args!("cannot listen on {}", self.listen), &error)
+                .advise("--listen chooses another address, such as `--listen 8081`")
+        };
         let listener = listen(&self.listen).await.map_err(failed)?;
         let bound = listener.local_addr().map_err(failed)?;
 

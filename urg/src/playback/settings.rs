@@ -42,8 +42,7 @@ impl PlaybackArgs {
                 Some(recorded) => {
                     recorded.require_file()?;
                     recordings += 1;
-                    port.restrict(self.range.range)?;
-                    port.choose_topic(&self.topic)?;
+                    port.choose(self.range, &self.topic)?;
                 }
                 None => sensors += 1,
             }

@@ -9,11 +9,11 @@ use std::time::Duration;
 use clap::builder::{OsStringValueParser, TypedValueParser};
 use tokio_scip::port;
 use tokio_scip::scan::Pose;
-use tokio_scip::{Endpoint, Error, ErrorKind, Rate, Window};
+use tokio_scip::{BaudRate, Endpoint, Error, ErrorKind, Rate, Window};
 
 use crate::failure::Failure;
 use crate::recording::recorded::Recorded;
-use crate::recording::span::{TimeSpan, TopicArgs};
+use crate::recording::span::{RangeArgs, TopicArgs};
 
 /// Default rate: one poll per revolution of the motor.
 const DEFAULT_RATE: Rate = Rate::every(Duration::from_millis(100));
@@ -42,7 +42,9 @@ impl FromStr for PortName {
     fn from_str(text: &str) -> Result<Self, String> {
         match text {
             "emulated" => return Ok(Self::Emulated(Pose::default())),
-            "on" | "off" => return Err(format!("expected a port, and {text} after it")),
+            after if matches!(after, "on" | "off") || after.parse::<BaudRate>().is_ok() => {
+                return Err(format!("expected a port, and {after} after it"));
+            }
             _ => {}
         }
         if let Some(recorded) = Recorded::named(Path::new(text)) {
@@ -105,39 +107,20 @@ impl PortName {
         }
     }
 
-    /// Limits a recording to `range`. A sensor has no range: usage error.
-    pub(crate) fn restrict(&mut self, range: Option<TimeSpan>) -> Result<(), Failure> {
-        match self {
-            Self::Recording(recorded) => recorded.range = range,
-            _ if range.is_none() => {}
-            sensor => {
-                return Err(Failure::Usage(format!(
-                    "--range is for a recording, FILE.mcap: {sensor} is a sensor, and --duration ends it"
-                )));
+    /// Chooses the part of a recording and the topic of its scans. A sensor has neither: usage error.
+    pub(crate) fn choose(&mut self, range: RangeArgs, topic: &TopicArgs) -> Result<(), Failure> {
+        let (option, instead) = match self {
+            Self::Recording(recorded) => {
+                recorded.range = range.range;
+                recorded.topic.clone_from(&topic.topic);
+                return Ok(());
             }
-        }
-        Ok(())
-    }
-
-    /// Reads the scans of this topic from a recording. A sensor has no topic: usage error.
-    pub(crate) fn choose_topic(&mut self, args: &TopicArgs) -> Result<(), Failure> {
-        match self {
-            Self::Recording(recorded) => recorded.topic.clone_from(&args.topic),
-            _ if args.topic.is_none() => {}
-            sensor => {
-                let text = format!("--topic is for a recording, FILE.mcap: {sensor} is a sensor");
-                return Err(Failure::Usage(text));
-            }
-        }
-        Ok(())
-    }
-
-    /// Fails for a recording, which answers but has nothing to switch: usage error.
-    pub(crate) fn require_sensor(&self) -> Result<(), Failure> {
-        match self.recorded() {
-            None => Ok(()),
-            Some(_) => Err(Failure::Usage(format!("{self} is a recording, and no sensor"))),
-        }
+            _ if range.range.is_some() => ("--range", ", and --duration ends it"),
+            _ if topic.topic.is_some() => ("--topic", ""),
+            _ => return Ok(()),
+        };
+        let text = format!("{option} is for a recording, FILE.mcap: {self} is a sensor{instead}");
+        Err(Failure::Usage(text))
     }
 
     /// Default window: the recorded window, else [`Window::DETECTION`].

@@ -7,7 +7,7 @@ use tokio_scip::protocol::Protocol;
 use tokio_scip::{BaudRate, Endpoint, Error, ErrorKind, Sensor, SensorBuilder, State, Window};
 use urg_emulator::{Emulator, Firmware, Room};
 
-use super::name::PortName;
+use super::name::{PortArg, PortName, argument};
 use crate::args::{LinkArgs, ProtocolName};
 use crate::delivery::Delivery;
 use crate::failure::{Failure, chain};
@@ -15,6 +15,29 @@ use crate::output::notice::notice;
 
 /// Wait before a notice names what the program is waiting for.
 const SILENT_WAIT: Duration = Duration::from_secs(1);
+
+/// Arguments of a command that changes a sensor and takes no scan.
+#[derive(Debug, clap::Args)]
+#[command(mut_arg("intensity", |option| option.hide(true)))]
+pub(crate) struct SensorArgs {
+    /// Where the sensor is: a serial port, serial:NUMBER, tcp://HOST or emulated (see `urg help`)
+    #[arg(value_name = "PORT", value_parser = argument::<PortName>())]
+    name: Option<PortName>,
+    #[command(flatten)]
+    link: LinkArgs,
+}
+
+impl SensorArgs {
+    /// Opens the sensor. A recording answers, but has nothing to change: usage error.
+    pub(crate) async fn open(self) -> Result<(PortName, Sensor), Failure> {
+        let port = PortArg { name: self.name }.required().await?;
+        if port.recorded().is_some() {
+            return Err(Failure::Usage(format!("{port} is a recording, and no sensor")));
+        }
+        let sensor = open(&port, &self.link, Delivery::Newest).await?;
+        Ok((port, sensor))
+    }
+}
 
 pub(crate) async fn open(
     port: &PortName,
@@ -130,15 +153,14 @@ pub(crate) async fn opened(
 }
 
 fn not_opened(port: &PortName, link: &LinkArgs, error: &Error) -> Failure {
+    let failure = Failure::at(port, error);
     match (port, error.kind()) {
         (_, ErrorKind::Timeout { .. }) if link.protocol == ProtocolName::Scip2 => {
-            let advice = "a URG-04LX with old firmware has no SCIP 2: leave out --protocol";
-            Failure::Failed(format!("{}; {advice}", Failure::at(port, error).line()))
+            failure.advise("a URG-04LX with old firmware has no SCIP 2: leave out --protocol")
         }
         (PortName::Endpoint(Endpoint::Tcp { .. }), ErrorKind::Disconnected { .. }) => {
-            let advice = "a sensor on Ethernet may still boot, or serve another client";
-            Failure::Failed(format!("{}; {advice}", Failure::at(port, error).line()))
+            failure.advise("a sensor on Ethernet may still boot, or serve another client")
         }
-        _ => Failure::at(port, error),
+        _ => failure,
     }
 }

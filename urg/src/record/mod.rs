@@ -26,6 +26,7 @@ use crate::output::stdout::is_closed;
 use crate::port::name::{PortArg, missing_port};
 use crate::port::open::{open, proven_baud_rate};
 use crate::recording::recorded::Recorded;
+use crate::recording::rewrite::perhaps_without_folder;
 use crate::stream::feed::{Feed, Update, check_window};
 use crate::stream::follow::follow;
 use crate::stream::reporter::Reporter;
@@ -215,20 +216,9 @@ impl Record {
             return Err(Failure::Usage(text.to_owned()));
         }
         let (builder, path) = (self.builder(), file.to_owned());
-        let opened = tokio::task::spawn_blocking(move || builder.open(path)).await;
-        let opened =
-            opened.map_err(|error| Failure::new(format_args!("cannot write {name}"), &error))?;
-        opened.map_err(|error| match &error {
-            RecordingError::Exists { path } if path != file => Failure::Failed(format!(
-                "{} is a part of another recording, between whose files those of {name} would \
-                 stand: move it away, or use another name",
-                path.display()
-            )),
-            RecordingError::Exists { .. } => Failure::Failed(format!(
-                "{name} exists: use another name, or --force to overwrite it"
-            )),
-            error => Failure::at(&name, error),
-        })
+        let opening = move || builder.open(&path).map_err(|error| not_opened(&path, &error));
+        let opened = tokio::task::spawn_blocking(opening).await;
+        opened.map_err(|error| Failure::new(format_args!("cannot write {name}"), &error))?
     }
 
     fn builder(&self) -> RecorderBuilder {
@@ -254,6 +244,22 @@ impl Record {
             };
         }
         builder
+    }
+}
+
+/// Describes a file that cannot be recorded into. Blocks.
+fn not_opened(file: &Path, error: &RecordingError) -> Failure {
+    let name = file.display();
+    match error {
+        RecordingError::Exists { path } if path != file => Failure::Failed(format!(
+            "{} is a part of another recording, between whose files those of {name} would stand: \
+             move it away, or use another name",
+            path.display()
+        )),
+        RecordingError::Exists { .. } => {
+            Failure::Failed(format!("{name} exists: use another name, or --force to overwrite it"))
+        }
+        error => perhaps_without_folder(file, error),
     }
 }
 

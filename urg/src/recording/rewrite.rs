@@ -138,8 +138,17 @@ fn not_created(path: &Path, error: &io::Error) -> Failure {
         io::ErrorKind::AlreadyExists => {
             Failure::Failed(format!("{} exists: use another name", path.display()))
         }
-        _ => failure(path, error),
+        _ => perhaps_without_folder(path, error),
     }
+}
+
+/// Describes a file that cannot be created, and says if its folder is missing. Blocks.
+pub(crate) fn perhaps_without_folder(path: &Path, error: &dyn std::error::Error) -> Failure {
+    let (failure, folder) = (failure(path, error), folder(path));
+    if folder.exists() {
+        return failure;
+    }
+    failure.advise(format_args!("there is no folder {}: create it first", folder.display()))
 }
 
 fn open(path: &Path) -> Result<File, Failure> {

@@ -90,10 +90,6 @@ enum StreamFormat {
 }
 
 impl StreamFormat {
-    fn default_for_stdout() -> Self {
-        if io::stdout().is_terminal() { Self::Summary } else { Self::Ndjson }
-    }
-
     fn columns(self, intensity: bool) -> Option<Columns> {
         match self {
             Self::Csv | Self::CsvXy => Some(Columns { intensity, cartesian: self == Self::CsvXy }),
@@ -105,8 +101,7 @@ impl StreamFormat {
 impl Stream {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
         let (mut port, rate) = interrupt.unless(self.port.polled_at(self.pace.rate)).await?;
-        port.restrict(self.range.range)?;
-        port.choose_topic(&self.topic)?;
+        port.choose(self.range, &self.topic)?;
         let window = self.window.window(port.default_window())?;
         let opening = async {
             let sensor = open(&port, &self.link, Delivery::All).await?;
@@ -116,7 +111,9 @@ impl Stream {
         };
         let (sensor, mut feed) = interrupt.unless(opening).await?;
         let mut reporter = Reporter::new(port, sensor).with_rate(window, rate);
-        let format = self.format.unwrap_or_else(StreamFormat::default_for_stdout);
+        let is_seen = io::stdout().is_terminal();
+        let usual = if is_seen { StreamFormat::Summary } else { StreamFormat::Ndjson };
+        let format = self.format.unwrap_or(usual);
         let columns = format.columns(self.link.intensity);
         if let Some(columns) = columns {
             print(columns.header()).await?;

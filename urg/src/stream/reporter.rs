@@ -108,13 +108,7 @@ impl Reporter {
         }
         let why = why.unwrap_or_else(|| "no poll was answered yet".to_owned());
         let seconds = self.began.elapsed().as_secs_f64();
-        let text = format!("no scan in {seconds:.1} s: {why}");
-        // Some of these errors already name the port.
-        let port = self.port.to_string();
-        Err(Failure::Failed(match why.contains(&port) {
-            true => text,
-            false => format!("{port}: {text}"),
-        }))
+        Err(Failure::on(&self.port, format!("no scan in {seconds:.1} s: {why}")))
     }
 }
 

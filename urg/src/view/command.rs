@@ -21,22 +21,20 @@ use crate::stream::follow::StreamEnd;
 /// mounted so. A sensor that fails does not affect the others. A recording can be paused, stepped and searched, and stays on its last scan.
 /// `?` shows the keys, `q` quits. NO_COLOR=1 switches colours off.
 #[derive(Debug, clap::Args)]
-#[command(after_help = examples())]
+#[command(after_help = EXAMPLES)]
 pub(crate) struct View {
     #[command(flatten)]
     picture: PictureArgs,
 }
 
-fn examples() -> &'static str {
-    "\
+const EXAMPLES: &str = "\
 Examples:
   urg view /dev/ttyACM0
   urg view /dev/ttyUSB0 --baud 115200 --cluster 2
   urg view front=/dev/ttyACM0@0.2,0,0 rear=serial:H0713091@-0.2,0,180
   urg view tcp://192.168.0.10 --intensity       shades for strong and weak reflections
   urg view emulated --from -90deg --to 90deg
-  urg view run.mcap --range 1:30..2:00 --loop   a part of a recording"
-}
+  urg view run.mcap --range 1:30..2:00 --loop   a part of a recording";
 
 impl View {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
