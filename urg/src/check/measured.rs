@@ -17,7 +17,7 @@ use crate::stream::rate_watch::schedule;
 const MAX_LOSS: f64 = 0.05;
 /// Fraction of the rate that the link can carry. A lower rate fails the check.
 const FAILED_RATE: f64 = 0.5;
-/// Maximum latency, in revolutions of the motor. A good sensor answers within one or two.
+/// Maximum latency or interval, in revolutions of the motor. A good sensor answers within one or two.
 const MAX_REVOLUTIONS: f64 = 2.5;
 /// Maximum mean lateness in milliseconds: five USB frames. Later scans are weak.
 const MAX_LATENESS_MS: f64 = 5.0;
@@ -179,15 +179,20 @@ impl Measured {
         let mean =
             self.scans.iter().map(latency).sum::<Duration>() / self.scans.len().max(1) as u32;
         let (mean, most) = (mean.as_millis(), longest.as_millis());
-        let text = format!("a whole scan takes {mean} ms, {most} ms at most");
+        let (name, what) = match self.geometry.protocol() {
+            Protocol::Scip1 => ("latency", "a whole scan takes"),
+            // A stream is not polled: these times begin with the scan before.
+            Protocol::Scip2 => ("interval", "a scan follows another after"),
+        };
+        let text = format!("{what} {mean} ms, {most} ms at most");
         let wire = self.baud_rate.map(|speed| self.window.wire_time(speed));
         let turns = self.turns().unwrap_or(self.asked).min(self.asked);
         let good = Duration::from_secs_f64(MAX_REVOLUTIONS / turns) + wire.unwrap_or_default();
         if longest <= good {
-            return Finding::ok("latency", text);
+            return Finding::ok(name, text);
         }
         let text = format!("{text}: expected at most {} ms", good.as_millis());
-        Finding::weak("latency", text)
+        Finding::weak(name, text)
     }
 
     /// Measured revolutions of the motor in a second.

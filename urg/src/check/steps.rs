@@ -151,7 +151,8 @@ mod tests {
             let (bad, text) = test(Emulator::builder().model(model), Faults::none(), 10).await;
             assert_eq!(bad, [], "{model:?} {text}");
             let rate = format!(" scans a second of {rate},");
-            assert!(text.contains(&rate), "{model:?} {text}");
+            assert!(text.contains(&rate) && !text.contains("latency"), "{model:?} {text}");
+            assert!(text.contains("interval a scan follows another after "), "{model:?} {text}");
             let damaged = Faults::none().rate(0.2, Fault::Damaged).seed(1);
             let (bad, text) = test(Emulator::builder().model(model), damaged, 10).await;
             assert!(bad.contains(&("polls", Verdict::Failed)), "{model:?} {text}");
