@@ -5,6 +5,9 @@ use std::slice::{from_mut, from_ref};
 use std::sync::Arc;
 use std::time::Duration;
 
+#[cfg(target_feature = "sse2")]
+use safe_arch::*;
+
 use super::command::{Data, LINE};
 use super::lines::{FIRST_CHARACTER, block, number, quoted};
 use crate::protocol::MalformedError;
@@ -123,7 +126,7 @@ fn decode(data: &[u8], values: &mut [u32], in_pairs: bool) -> bool {
     } else {
         let (whole, rest) = values.split_at_mut(values.len().min(VALUES * blocks.len()));
         is_whole &= decode_blocks(blocks, whole.as_chunks_mut().0);
-        is_whole &= decode_blocks(&[last], from_mut(&mut out));
+        is_whole &= decode_blocks(from_ref(&last), from_mut(&mut out));
         rest.iter_mut().zip(out).for_each(|(slot, value)| *slot = value);
     }
     is_whole
@@ -170,19 +173,50 @@ fn decode_blocks(blocks: &[[u8; BLOCK]], values: &mut [[u32; VALUES]]) -> bool {
             let expected = [(expected & 63) + FIRST_CHARACTER, b'\n'];
             faults |= u16::from_le_bytes([*sum, *end]) ^ u16::from_le_bytes(expected);
         }
-        let mut words = [[0; 3]; VALUES / 4];
-        for (word, bytes) in words.as_flattened_mut().iter_mut().zip(sixes.as_chunks().0) {
-            *word = u32::from_le_bytes(*bytes);
-        }
-        for (&[a, b, c], values) in words.iter().zip(values.as_chunks_mut().0) {
-            // Twelve characters make four values.
-            *values = [
-                a << 12 & 0x3f000 | a >> 2 & 0xfc0 | a >> 16 & 0x3f,
-                a >> 12 & 0x3f000 | b << 6 & 0xfc0 | b >> 8 & 0x3f,
-                b >> 4 & 0x3f000 | b >> 18 & 0xfc0 | c & 0x3f,
-                c << 4 & 0x3f000 | c >> 10 & 0xfc0 | c >> 24,
-            ];
-        }
+        join(&sixes, values);
     }
     faults == 0 && seen.iter().fold(0, |all, six| all | six) < 64
+}
+
+/// Joins each three numbers of six bits into a value.
+#[cfg(not(target_feature = "sse2"))]
+fn join(sixes: &[u8; 3 * LINE], values: &mut [u32; VALUES]) {
+    for (&[a, b, c], value) in sixes.as_chunks().0.iter().zip(values) {
+        *value = u32::from(a) << 12 | u32::from(b) << 6 | u32::from(c);
+    }
+}
+
+/// Joins each three numbers of six bits into a value. Left to itself, the compiler takes twice the
+/// instructions: SSE2 cannot shuffle bytes.
+#[cfg(target_feature = "sse2")]
+fn join(sixes: &[u8; 3 * LINE], values: &mut [u32; VALUES]) {
+    // What the first and the second number of each word count in its value.
+    let firsts = m128i::from([4096i16, 1, 0, 64, 4096, 1, 0, 64]);
+    let seconds = m128i::from([64i16, 0, 4096, 1, 64, 0, 4096, 1]);
+    for (sixes, values) in sixes.as_chunks::<48>().0.iter().zip(values.as_chunks_mut::<16>().0) {
+        let &[a, b, c] = sixes.as_chunks::<16>().0 else { return };
+        let [a, b, c] = [a, b, c].map(m128i::from);
+        // Twelve numbers are six words and make four values, which need words 0, 1, 1, 2, 3, 4, 4 and 5.
+        let pairs = [
+            shuffle_ai_f32_all_m128i::<0b10_01_01_00>(a),
+            shuffle_ai_f32_all_m128i::<0b11_10_10_00>(across::<0b01_00_11_11>(a, b)),
+            shuffle_ai_f32_all_m128i::<0b10_01_01_00>(across::<0b00_00_11_10>(b, c)),
+            shuffle_ai_f32_all_m128i::<0b11_10_10_01>(c),
+        ];
+        for (words, values) in pairs.into_iter().zip(values.as_chunks_mut().0) {
+            let words = shuffle_ai_i16_l64all_m128i::<0b10_01_01_00>(words);
+            let words = shuffle_ai_i16_h64all_m128i::<0b11_10_10_01>(words);
+            let (first, second) =
+                (words & m128i::from([0xffu16; 8]), shr_imm_u16_m128i::<8>(words));
+            let first = mul_i16_horizontal_add_m128i(first, firsts);
+            *values = (first | mul_i16_horizontal_add_m128i(second, seconds)).into();
+        }
+    }
+}
+
+/// Picks two words of 32 bits from `low`, then two from `high`.
+#[cfg(target_feature = "sse2")]
+fn across<const PICKED: i32>(low: m128i, high: m128i) -> m128i {
+    let [low, high] = [low, high].map(cast_to_m128_from_m128i);
+    cast_to_m128i_from_m128(shuffle_abi_f32_all_m128::<PICKED>(low, high))
 }
