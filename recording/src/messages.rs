@@ -71,10 +71,8 @@ pub(super) fn parse(content: &[u8], definitions: &Definitions) -> Option<Result<
 
 /// Encodes the type of a channel whose schema was lost, as after its number. `content` is that of
 /// the channel after its number. Returns `None` for a channel that recordings do not have.
-pub(super) fn lost_schema(channel: u16, content: &[u8]) -> Option<Vec<u8>> {
-    let own = |topic: &Topic| {
-        topic.channel() == channel && mcap::channel(topic.schema(), topic.name()) == content
-    };
+pub(super) fn lost_schema(content: &[u8]) -> Option<Vec<u8>> {
+    let own = |topic: &Topic| mcap::channel(topic.schema(), topic.name()) == content;
     let known = Topic::ALL.into_iter().find(own)?.message_type();
     Some(mcap::schema(known.name(), known.definition()))
 }

@@ -219,10 +219,6 @@ fn write_all(
             Err(_) => writer.flush()?,
         }
         queue.waiting.send_modify(|waiting| *waiting = waiting.map(|waiting| waiting - weight));
-        // While items keep arriving, the wait above never times out, so flush here when due.
-        if writer.until_flush() == Some(Duration::ZERO) {
-            writer.flush()?;
-        }
     }
 }
 

@@ -15,8 +15,8 @@ use tokio_scip::Scan;
 
 /// Name of the library in the file's header.
 const LIBRARY: &str = concat!("tokio-scip ", env!("CARGO_PKG_VERSION"));
-/// Longest time until a message is in the file: on the clock of the recording, which may
-/// be paused, and on the real one.
+/// Longest time until a message is in the file: on the clock of the recording, which may be paused,
+/// and on the real one once no message waits.
 const CHUNK_SPAN: Duration = Duration::from_secs(1);
 /// A file is split right after a scan, so that its reply is in the same file. If a consumer is always behind,
 /// there is no such point; after this time the file is split anywhere.
@@ -241,7 +241,6 @@ impl Writer {
         }
         self.mcap = start(self.parts.next()?, self.compression)?;
         self.part = Part::default();
-        self.chunk_began = None;
         // First, because the metadata are written at once.
         self.parts.remove_old(self.mcap.len());
         if let Some(metadata) = &self.metadata {

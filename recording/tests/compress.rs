@@ -7,7 +7,7 @@ use tokio_scip::{Rate, Window};
 use urg_emulator::{Emulator, Room};
 use urg_recording::{Compression, Recorder, Recording, cut, repair};
 
-use super::raw::{MAGIC, channel, chunk_of, end, of_kind, text};
+use super::raw::{MAGIC, channel, chunk_of, end, event, of_kind, text};
 use super::recompress::{compressed, compressions};
 use super::sink::{Sink, observed};
 
@@ -70,6 +70,17 @@ async fn a_kill_costs_at_most_the_last_compressed_second() {
             assert!(found.len() + 2 * most_in_chunk >= expected, "{part}: {}", found.len());
         }
     }
+}
+
+/// Some programs do not compress a chunk that would not get shorter.
+#[tokio::test(start_paused = true)]
+async fn a_copy_keeps_the_compression_of_later_chunks() {
+    let file = recorded(Compression::Lz4, 30).await;
+    let plain = chunk_of(&[channel(), event(0)].concat());
+    let file = [MAGIC, &plain, &file[MAGIC.len()..]].concat();
+    let mut copy = Vec::new();
+    repair(Cursor::new(file), &mut copy).unwrap();
+    assert!(compressions(&copy).contains(&"lz4"));
 }
 
 #[tokio::test(start_paused = true)]

@@ -84,9 +84,10 @@ async fn a_recording_continues_after_a_file_that_may_not_grow() {
         chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length
     };
     // Room after a chunk: for less than the end of a file, for the end alone, for the index too.
-    for limit in
-        [5, 25].into_iter().flat_map(|after| [20, 60, 30_000].map(|room| end(after) + room))
-    {
+    let rooms =
+        [5, 25].into_iter().flat_map(|after| [20, 60, 30_000].map(|room| end(after) + room));
+    // No room for the last chunk, which `finish` writes.
+    for limit in rooms.chain([end(chunks.len() - 1) - 1]) {
         let path = folder("file-limit").join("run.mcap");
         let progress = record(&path, Some(limit)).await.unwrap();
         assert!(progress.has_outgrown_file);

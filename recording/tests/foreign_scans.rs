@@ -460,6 +460,13 @@ async fn every_message_is_a_scan_or_counted() {
         for (reason, count) in counted(&left_out) {
             *totals.entry(reason).or_insert(0) += count;
         }
+        // A description is of the recorded stream, and not of another topic.
+        let rear = open(&file).topic("/rear/scan").scans().filter(Result::is_ok).count() as u64;
+        assert_eq!(
+            rear,
+            truth.left_out.get(&LeftOutReason::OtherTopic).copied().unwrap_or(0),
+            "{seed}"
+        );
         // A copy counts the same scans.
         let mut copy = Vec::new();
         let copied = cut([Cursor::new(file.clone())], .., None, &mut copy).unwrap();

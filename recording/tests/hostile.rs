@@ -71,12 +71,15 @@ fn a_hostile_length_takes_no_memory() {
 fn a_compressed_recording_is_reported_as_such() {
     // 30 bytes, in 9.
     let head = [&[0; 16][..], &30u64.to_le_bytes(), &[0; 4], &claims(3), b"lzo"].concat();
-    let chunk = [&head[..], &9u64.to_le_bytes(), &[0; 9]].concat();
-    let file = [MAGIC, &record(0x06, chunk.len() as u64, &chunk)].concat();
-    let error = Recording::read(Cursor::new(file)).unwrap_err();
-    let RecordingError::Compressed { compression } = &error else { panic!("{error:?}") };
-    assert_eq!(compression, "lzo");
-    assert!(error.to_string().contains("`lzo`"), "{error}");
+    let chunk = of_kind(0x06, &[&head[..], &9u64.to_le_bytes(), &[0; 9]].concat());
+    // Also if more chunks follow than `read` searches.
+    for count in [1, 300] {
+        let file = [MAGIC, &chunk.repeat(count)].concat();
+        let error = Recording::read(Cursor::new(file)).unwrap_err();
+        let RecordingError::Compressed { compression } = &error else { panic!("{error:?}") };
+        assert_eq!(compression, "lzo");
+        assert!(error.to_string().contains("`lzo`"), "{error}");
+    }
 }
 
 #[test]
@@ -109,6 +112,19 @@ fn a_malformed_record_is_reported_and_left_out() {
         assert_eq!(read(&file), (vec![8], 2, false), "{name}");
         assert_eq!(read(&repaired), (vec![], 2, false), "{name}");
         assert_eq!(mcap::MessageStream::new(&repaired).unwrap().count(), 2, "{name}");
+    }
+}
+
+#[test]
+fn a_malformed_header_is_not_copied() {
+    let profile = of_kind(0x01, &[text("ros2"), text("caf\u{e9}")].concat());
+    let latin1 = of_kind(0x01, &[&text("ros2")[..], &claims(4), b"caf\xe9"].concat());
+    for (header, damaged) in [(profile, vec![]), (latin1, vec![8])] {
+        let file = [MAGIC, &header, &chunk_of(&[channel(), event(0)].concat()), &end()].concat();
+        let mut repaired = Vec::new();
+        let outcome = repair(Cursor::new(file), &mut repaired).unwrap();
+        assert_eq!((outcome.messages, outcome.damaged_at), (1, damaged));
+        assert_eq!(mcap::MessageStream::new(&repaired).unwrap().count(), 1);
     }
 }
 

@@ -1,6 +1,6 @@
 //! Recordings whose records begin and end where a read of 64 KiB does.
 
-use std::io::Cursor;
+use std::io::{self, Cursor, Read};
 
 use urg_recording::{Recording, RecordingError};
 
@@ -25,6 +25,22 @@ fn the_head_of_a_chunk_may_lie_across_two_reads() {
         let file = [MAGIC, &filler(8, before), &chunk, &chunk, &end()].concat();
         assert_eq!(read(&file), (vec![], 2, false), "{before} bytes before");
     }
+}
+
+/// Reader that a signal has interrupted, once.
+struct Interrupted(bool);
+
+impl Read for Interrupted {
+    fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {
+        if std::mem::take(&mut self.0) { Err(io::ErrorKind::Interrupted.into()) } else { Ok(0) }
+    }
+}
+
+#[test]
+fn an_interrupted_read_continues() {
+    let start = [MAGIC, &channel(), &event(0)].concat();
+    let input = Cursor::new(start).chain(Interrupted(true)).chain(Cursor::new(event(0)));
+    assert_eq!(Recording::read(input).unwrap().filter(Result::is_ok).count(), 2);
 }
 
 #[test]

@@ -212,3 +212,17 @@ async fn a_damaged_index_is_known_and_repaired() {
         assert_eq!((outcome.was_truncated, outcome.damaged_parts), (true, parts));
     }
 }
+
+/// A pipe has no index to take the definition from.
+#[tokio::test(start_paused = true)]
+async fn messages_keep_their_type_without_its_definition() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 30).await;
+    let mut file = sink.bytes();
+    // In the first chunk, which has the schemas.
+    file[200] ^= 1;
+    let mut repaired = Vec::new();
+    assert_eq!(repair(Cursor::new(file), &mut repaired).unwrap().damaged_parts, 1);
+    let mut messages = mcap::MessageStream::new(&repaired).unwrap();
+    assert!(messages.all(|message| message.unwrap().channel.schema.is_some()));
+}

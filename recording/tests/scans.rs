@@ -13,7 +13,7 @@ use urg_recording::{
 };
 
 use super::file::Folder;
-use super::sink::{Sink, next, record, replayed, sensor, values, window};
+use super::sink::{Sink, next, observed, record, replayed, sensor, values, window};
 
 /// Stands for a function that is written for live scans.
 fn summary(scan: &Scan) -> (Window, Vec<u32>, std::time::SystemTime, u64, Duration, bool) {
@@ -33,6 +33,11 @@ async fn recorded_scans_are_those_that_the_driver_delivered() {
             delivered.iter().map(summary).collect::<Vec<_>>(),
             "{window}"
         );
+        // The replies are no scans on another topic.
+        let mut others = sink.open().topic("/front/scan").scans();
+        assert!(others.next().is_some_and(|item| item.is_err()));
+        let left_out = others.recording().left_out().counts();
+        assert_eq!((left_out[0].reason, left_out[0].messages), (LeftOutReason::OtherTopic, 20));
         let times: Vec<_> =
             scans.windows(2).map(|pair| pair[1].received_at() - pair[0].received_at()).collect();
         let live: Vec<_> = delivered
@@ -58,6 +63,8 @@ async fn refused_and_malformed_replies_are_skipped() {
         delivered.iter().flatten().map(|scan| scan.raw_values().collect::<Vec<_>>()).collect();
     assert_eq!(values, expected);
     assert!(scans.next().is_none() && !scans.recording().is_truncated());
+    let failed = delivered.iter().filter(|item| item.is_err()).count();
+    assert_eq!(scans.failed_polls(), failed as u64);
     let left_out = scans.recording().left_out().counts();
     let text: Vec<_> = left_out.iter().map(ToString::to_string).collect();
     assert_eq!(text, ["2 polls refused, or with a malformed reply (the first: steps 44..=725)"]);
@@ -89,6 +96,23 @@ async fn scans_of_a_file_without_its_end_are_read() {
         assert_eq!(scans.by_ref().filter(Result::is_ok).count(), 10);
         assert_eq!(scans.recording().is_truncated(), is_truncated, "{missing} bytes");
     }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_scan_of_another_window_answers_another_request() {
+    let sink = Sink::new();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let (sensor, mut scans) =
+        observed(&recorder, sensor(), Window::DETECTION, Rate::hz(10.0)).await;
+    next(&mut recorder, &mut scans, 3).await;
+    sensor.scan(window(100, 110, 1)).await.unwrap();
+    next(&mut recorder, &mut scans, 3).await;
+    recorder.finish().await.unwrap();
+    let mut scans = sink.open().scans();
+    assert!(scans.by_ref().all(|scan| scan.unwrap().window() == Window::DETECTION));
+    let left_out = scans.recording().left_out().counts();
+    let reasons: Vec<_> = left_out.iter().map(|count| count.reason).collect();
+    assert_eq!(reasons, [LeftOutReason::OtherRequest]);
 }
 
 #[tokio::test(start_paused = true)]

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use tokio::time::sleep;
+use tokio_scip::protocol::Command;
 use tokio_scip::{Error, Rate, Sensor, Window};
 use urg_recording::{
     Entry, Record, Recorder, RecorderBuilder, Recording, RecordingError, ReplayPace,
@@ -75,6 +76,8 @@ async fn each_file_of_a_split_recording_replays_alone() {
             let seconds = ended.duration_since(began).unwrap().as_secs_f64();
             assert!(seconds <= 12.0, "{part:?}: {seconds} s");
             // Each file has the sensor's identity, so that it replays without the others.
+            let is_version = |record: &Record| matches!(&record.entry, Entry::Reply(reply) if reply.command == Some(Command::Version));
+            assert!(records.iter().any(is_version), "{part:?}");
             let replay = Recording::open(part).unwrap().replay(ReplayPace::Max).unwrap();
             let builder = Sensor::builder().depth(1 << 10);
             let sensor = builder.connect(replay).await.unwrap();
@@ -145,12 +148,14 @@ async fn a_second_recorder_of_the_same_parts_is_refused() {
 
 #[tokio::test]
 async fn an_old_file_that_cannot_be_removed_is_told() {
-    for is_folder in [false, true] {
+    for (is_folder, is_gone) in [(false, false), (true, false), (false, true)] {
         let path = folder("split-stuck").join("run.mcap");
         fs::write(&path, [0; 1000]).unwrap();
         let mut recorder = Recorder::builder().keep_bytes(4000).create(&path).unwrap();
-        if is_folder {
+        if is_folder || is_gone {
             fs::remove_file(&path).unwrap();
+        }
+        if is_folder {
             fs::create_dir(&path).unwrap();
         }
         let scan = tokio_scip::Scan::builder(Window::DETECTION, [500; 682]).build().unwrap();

@@ -6,9 +6,8 @@ use std::io::Write;
 use super::form::map;
 use super::{Fields, MAX_DEFINITION_BYTES, McapWriter, kind};
 
-/// Returns the content of a channel's schema that is not defined, from the channel's number and its
-/// content, if it is known.
-pub(crate) type LostSchema = fn(u16, &[u8]) -> Option<Vec<u8>>;
+/// Returns the content of a channel's schema that is not defined, from the channel's, if it is known.
+pub(crate) type LostSchema = fn(&[u8]) -> Option<Vec<u8>>;
 
 /// Schemas and channels of a file, up to a position in it.
 #[derive(Default)]
@@ -78,7 +77,7 @@ impl Definitions {
         let content = self.get(kind::CHANNEL, number)?;
         let mut fields = Fields(content);
         let schema = fields.u16()?;
-        let lost = lost_schema(number, content).filter(|_| schema != 0);
+        let lost = lost_schema(content);
         let schema = match self.get(kind::SCHEMA, schema).or(lost.as_deref()) {
             Some(content) => writer.declare(kind::SCHEMA, schema, content)?,
             // Stands for no schema.

@@ -88,6 +88,8 @@ pub(super) fn bag(random: &mut Random) -> Vec<u8> {
             TRANSFORMS if !random.once_in(8) => transforms(random),
             // Of no form of CDR.
             TRANSFORMS => [vec![9], bytes(random)].concat(),
+            // Looks like no transforms.
+            "nav_msgs/msg/OccupancyGrid" if random.once_in(4) => vec![0, 1, 0, 0, 0, 0, 0, 0],
             _ => bytes(random),
         };
         writer.write_to_known_channel(&header, &data).unwrap();

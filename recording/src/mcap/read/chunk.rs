@@ -42,7 +42,6 @@ impl Records {
         let stored = found - head.records.start.min(found);
         self.chunk_bytes.add(&head.compression, stored, records.len());
         // A chunk that is cut short cannot be checked.
-        self.is_truncated |= !is_whole;
         let is_proved = is_whole && head.crc != 0;
         if is_proved && crc32fast::hash(self.bytes(records.clone())) != head.crc {
             return Err(self.damaged("a chunk's checksum is wrong"));
@@ -81,7 +80,6 @@ impl Records {
             let extent = measure(bytes, After::End).ok().flatten();
             let begins = |at, kinds| begins(bytes, After::End, at, kinds);
             let next = match &extent {
-                Some(extent) if extent.is_endless() && self.chunk.is_cut => continue,
                 Some(extent) if self.chunk.is_proved || extent.is_proved() => extent.end,
                 Some(extent) => {
                     let kinds = |at| if at == 0 { |_| true } else { is_known };
