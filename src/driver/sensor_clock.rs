@@ -47,8 +47,6 @@ const MOTOR_GATE: f64 = 1.2e-3;
 /// Standard deviation in seconds above which the line starts again: after a pause, if the clock's rate
 /// was not known well.
 const LARGEST_DEVIATION: f64 = 0.2e-3;
-/// The fit starts again after a pause of this many seconds.
-const LONGEST_PAUSE: f64 = 30.0;
 /// Number of agreeing late arrivals, less the others, that mean a jump of a clock that left the motor's line.
 const JUMP: u32 = 5;
 /// After this many late arrivals in a row, stamps rest on the arrivals until one fits again.
@@ -62,8 +60,6 @@ const FIRST: u32 = 20;
 #[derive(Debug, Clone)]
 pub(crate) struct SensorClock {
     origin: Instant,
-    /// When the stream of the latest scan began.
-    begun: Instant,
     /// Seconds of a revolution, as the sensor tells.
     nominal: f64,
     lines: Option<Lines>,
@@ -74,8 +70,6 @@ pub(crate) struct SensorClock {
 struct Lines {
     /// Clock of the latest scan in seconds.
     clock: f64,
-    /// Seconds since the first scan.
-    age: f64,
     /// Arrivals by the sensor's clock.
     arrivals: Line,
     /// Ends of revolutions by their number.
@@ -95,7 +89,7 @@ impl SensorClock {
     /// Creates the clock of a sensor whose revolution nominally takes this long.
     pub(crate) fn new(nominal: Duration) -> Self {
         let nominal = nominal.as_secs_f64();
-        Self { origin: Instant::now(), begun: Instant::now(), nominal, lines: None, jumps: 0 }
+        Self { origin: Instant::now(), nominal, lines: None, jumps: 0 }
     }
 
     /// Adds a scan of a stream that began at `begun` and has one in `turns` revolutions, with the sensor's
@@ -108,11 +102,9 @@ impl SensorClock {
         begun: Instant,
         turns: u32,
     ) -> Revolution {
-        // A motor at another speed than told turns four times in what seem five revolutions. Before the
-        // first scan of a stream there may be any number of them.
-        let is_first = std::mem::replace(&mut self.begun, begun) < begun;
-        let step = if is_first { 1.0 } else { f64::from(turns) };
-        let longest = arrived.saturating_duration_since(begun).as_secs_f64() + self.nominal;
+        // A motor at another speed than told turns four times in what seem five revolutions.
+        let step = f64::from(turns);
+        let longest = arrived.saturating_duration_since(begun).as_secs_f64();
         let arrived = arrived.saturating_duration_since(self.origin).as_secs_f64();
         let (clock, wrap) = (clock.as_secs_f64(), wrap.as_secs_f64());
         let Some(mut lines) = self.lines else { return self.start(clock, arrived) };
@@ -121,17 +113,14 @@ impl SensorClock {
         let late = arrived - lines.arrivals.value;
         let deviation = lines.arrivals.deviation();
         let gate = GATE + 3.0 * deviation;
-        // Whole milliseconds are wrong by the same for many scans, so a line leads no further ahead than
-        // it is long, whatever its deviation.
-        let is_unknown = deviation > LARGEST_DEVIATION || passed > lines.age;
+        let is_unknown = lines.is_used() && deviation > LARGEST_DEVIATION;
         // Nothing was sent before its stream began: the sensor has restarted meanwhile.
-        let is_lost = lines.is_used() && is_unknown || late > longest + gate;
-        lines.age += passed;
+        let is_lost = is_unknown || late > longest + gate;
         let is_at_once = late < lines.late - passed / 2.0;
         let had_moved = lines.has_moved;
         (lines.clock, lines.late) = (clock, late);
         // Not a number if rounding has made a determinant negative.
-        if gate.is_nan() || late < -gate || passed > LONGEST_PAUSE || is_lost {
+        if gate.is_nan() || late < -gate || is_lost {
             self.jumps += u64::from(lines.is_used());
             return self.start(clock, arrived);
         }
@@ -151,11 +140,8 @@ impl SensorClock {
         lines.motor.advance(turns, forgotten);
         let off = end - lines.motor.value;
         let motor_gate = MOTOR_GATE + 3.0 * lines.motor.deviation();
-        if motor_gate > unit / 2.0 {
-            // Another number of revolutions would fit as well.
-            lines.motor.jump(end, 1);
-            lines.has_moved = true;
-        } else if off.abs() <= motor_gate {
+        // Within a wider gate, another number of revolutions would fit as well.
+        if off.abs() <= motor_gate && motor_gate <= unit / 2.0 {
             lines.motor.add(off, 1.0);
         } else {
             let slope = if had_moved { self.nominal } else { lines.motor.slope };
@@ -190,7 +176,6 @@ impl SensorClock {
     fn start(&mut self, clock: f64, arrived: f64) -> Revolution {
         self.lines = Some(Lines {
             clock,
-            age: 0.0,
             arrivals: Line::new(arrived, 1.0, RATE_DEVIATION),
             motor: Line::new(arrived, self.nominal, TOLD_PERIOD_DEVIATION * self.nominal),
             count: 0,

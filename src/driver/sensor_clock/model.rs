@@ -42,6 +42,8 @@ struct Cell {
     settled: usize,
     unusual: usize,
     wrong: usize,
+    /// Stamps of revolutions that ended before the stream began.
+    early: usize,
     /// Seconds from the start to the first stamp by the clock.
     waits: Vec<f64>,
 }
@@ -61,18 +63,37 @@ impl Cell {
         let mut clock = SensorClock::new(Duration::from_secs_f64(kind.revolution));
         let (mut end, mut scans, mut read) = (1.0 + random.below_one(), 0, 0.0_f64);
         let (mut unsettled, mut first) = (end + SETTLED, Some(end));
+        // When the stream began, by the host's clock.
+        let mut stream = 0.0;
         while end < TIME && scans < MOST_SCANS {
             scans += 1;
             period *= 1.0 + drift * period;
             end += period * f64::from(kind.skipped + 1);
-            if kind.is_odd && random.once_in(4000.0) {
+            if kind.is_odd && random.once_in(2000.0) {
                 match random.below_one() {
                     // The clock jumps, or begins anew.
                     x if x < 0.3 => offset += random.between(-0.1, 0.1),
                     x if x < 0.5 => offset = -end * rate,
                     // The motor does.
-                    x if x < 0.8 => end += period * random.below_one(),
-                    _ => end += 10_f64.powf(random.between(-1.0, 3.0)),
+                    x if x < 0.7 => end += period * random.below_one(),
+                    x if x < 0.85 => period *= random.between(0.97, 1.03),
+                    // No stream for a while. The motor turns on, or the sensor has been off, and its
+                    // clock shows little more than before.
+                    x => {
+                        let pause = 10_f64.powf(random.between(-1.0, 3.0));
+                        let is_off = x > 0.92;
+                        if is_off {
+                            offset += random.between(-5.0, 40.0) - pause * rate;
+                            end += pause;
+                        } else {
+                            end += period * (pause / period).round();
+                        }
+                        stream = end + period * random.below_one();
+                        stream += slew.gained(stream);
+                        if !is_off {
+                            continue;
+                        }
+                    }
                 }
                 unsettled = end + SETTLED;
             }
@@ -90,13 +111,15 @@ impl Cell {
             let by_host = |at: f64| at + slew.gained(at);
             let at = epoch + Duration::from_secs_f64(by_host(read));
             let wrap = Duration::from_secs_f64(wrap);
-            let revolution = clock.observe(stamp, wrap, at, epoch, kind.skipped + 1);
+            let stream_at = epoch + Duration::from_secs_f64(stream);
+            let revolution = clock.observe(stamp, wrap, at, stream_at, kind.skipped + 1);
             self.stamps += 1;
             let lateness = revolution.lateness.filter(|_| !revolution.is_doubted);
             let Some((lateness, turn)) = lateness.zip(revolution.period) else { continue };
             self.waits.extend(first.take().map(|first| end - first));
+            let found = by_host(read) - lateness.as_secs_f64();
+            self.early += usize::from(found < stream - 2.0 * STAMP_BOUND);
             if end > unsettled {
-                let found = by_host(read) - lateness.as_secs_f64();
                 ends.push(found - by_host(end));
                 errors.push(found - turn.as_secs_f64() - by_host(begun));
             }
@@ -114,11 +137,12 @@ impl Cell {
 fn draw(kind: Kind) -> Cell {
     let mut cell = Cell::default();
     seeds("SCIP_CLOCKS", 2).for_each(|seed| cell.add(kind, seed));
-    let Cell { stamps, settled, unusual, wrong, waits } = &cell;
+    let Cell { stamps, settled, unusual, wrong, waits, early } = &cell;
     let latest = waits.iter().copied().fold(0.0, f64::max);
     println!(
         "{kind:?}: {settled} of {stamps} stamps settled, {unusual} off by 0.5 ms, {wrong} by 2 ms, first after {latest:.1} s"
     );
+    assert_eq!(*early, 0, "scans from before their stream");
     cell
 }
 
@@ -144,5 +168,27 @@ fn few_stamps_by_the_clock_are_wrong() {
     assert!(settled * 5 >= all * 4, "{settled} of {all}");
     for ([settled, unusual, wrong], usual) in sums.into_iter().zip([100, 100, 25]) {
         assert!(unusual * usual <= settled && wrong * 1000 <= settled, "{sums:?}");
+    }
+}
+
+#[test]
+fn scans_that_waited_for_the_host_keep_the_time_of_the_clock() {
+    const REVOLUTION: Duration = Duration::from_millis(25);
+    let begun = Instant::now();
+    let wrap = Duration::from_secs_f64(WRAP);
+    let mut clock = SensorClock::new(REVOLUTION);
+    let mut observe = |scan: u32, late: Duration| {
+        let end = REVOLUTION * scan;
+        let revolution = clock.observe(end, wrap, begun + end + late, begun, 1);
+        assert!(scan < FIRST || !revolution.is_doubted, "{scan}");
+        revolution.lateness
+    };
+    for scan in 1..400 {
+        observe(scan, Duration::ZERO);
+    }
+    for scan in 400..404 {
+        let late = REVOLUTION * (404 - scan);
+        let found = observe(scan, late).expect("a stamp by the clock");
+        assert!(found.abs_diff(late).as_secs_f64() < USUAL_BOUND, "{found:?} of {late:?}");
     }
 }
