@@ -60,6 +60,8 @@ const FIRST: u32 = 20;
 #[derive(Debug, Clone)]
 pub(crate) struct SensorClock {
     origin: Instant,
+    /// When the stream of the latest scan began.
+    begun: Instant,
     /// Seconds of a revolution, as the sensor tells.
     nominal: f64,
     lines: Option<Lines>,
@@ -89,7 +91,7 @@ impl SensorClock {
     /// Creates the clock of a sensor whose revolution nominally takes this long.
     pub(crate) fn new(nominal: Duration) -> Self {
         let nominal = nominal.as_secs_f64();
-        Self { origin: Instant::now(), nominal, lines: None, jumps: 0 }
+        Self { origin: Instant::now(), begun: Instant::now(), nominal, lines: None, jumps: 0 }
     }
 
     /// Adds a scan of a stream that began at `begun` and has one in `turns` revolutions, with the sensor's
@@ -102,8 +104,10 @@ impl SensorClock {
         begun: Instant,
         turns: u32,
     ) -> Revolution {
-        // A motor at another speed than told turns four times in what seem five revolutions.
-        let step = f64::from(turns);
+        // A motor at another speed than told turns four times in what seem five revolutions. Before the
+        // first scan of a stream there may be any number of them.
+        let is_first = std::mem::replace(&mut self.begun, begun) < begun;
+        let step = if is_first { 1.0 } else { f64::from(turns) };
         let longest = arrived.saturating_duration_since(begun).as_secs_f64();
         let arrived = arrived.saturating_duration_since(self.origin).as_secs_f64();
         let (clock, wrap) = (clock.as_secs_f64(), wrap.as_secs_f64());
