@@ -101,7 +101,9 @@ impl PollReply {
             let distance = |value: &u32| geometry.measurement(*value).distance();
             Some(values.distances.iter().map(distance).collect::<Vec<_>>())
         };
-        (self.is_played || self.at == reply.at)
+        // Two replies are two scans, even with the same log time.
+        matches!(self.answer, Answer::Values(_))
+            && (self.is_played || self.at == reply.at)
             && self.asked.model.is_like(&reply.asked.model)
             && distances(self).is_some_and(|seen| distances(reply) == Some(seen))
     }
@@ -306,10 +308,8 @@ impl StreamPolls {
                 window
             }
             // Of messages alone all belong together.
-            None => {
-                let is_message = matches!(poll.answer, Answer::Values(_));
-                Some(poll.asked.window).filter(|_| is_message && !self.is_described)
-            }
+            None if self.is_described => None,
+            None => Some(poll.asked.window).filter(|_| matches!(poll.answer, Answer::Values(_))),
         }
     }
 

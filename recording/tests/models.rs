@@ -8,7 +8,7 @@ use tokio::time::sleep;
 use tokio_scip::protocol::Command;
 use tokio_scip::protocol::scip2::{self, Request};
 use tokio_scip::{Rate, Scan, Sensor, Window};
-use urg_emulator::{Fault, Faults, Model};
+use urg_emulator::{Emulator, Fault, Faults, Model, Values, WorldTime};
 use urg_recording::{
     Entry, LeftOutCounter, LeftOutReason, Record, Recorder, Recording, ReplayPace, cut, repair,
 };
@@ -159,7 +159,63 @@ async fn replies_alone_have_each_scan_once() {
         }
         recorder.finish().await.unwrap();
         let found = read(&sink.bytes());
-        assert!(found.iter().take(50).map(bits).eq(delivered.iter().map(bits)), "{model:?}");
+        // Of two equal replies, the stamp of the first.
+        let told = |scan: &Scan| (scan.times().stamp, bits(scan));
+        assert!(found.iter().take(50).map(told).eq(delivered.iter().map(told)), "{model:?}");
+    }
+}
+
+/// Another program may have rounded the log times, or written the same one for all messages.
+#[tokio::test(start_paused = true)]
+async fn equal_scans_of_one_log_time_are_all_read() {
+    for model in MODELS {
+        let sink = Sink::new();
+        let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+        let world = |_: WorldTime, codes: &mut Values| codes.iter_mut().for_each(|code| *code = 99);
+        let emulator = Emulator::builder().model(model).world(world).build();
+        let (_sensor, mut scans) =
+            observed(&recorder, emulator, Window::DETECTION, Rate::UNLIMITED).await;
+        next(&mut recorder, &mut scans, 20).await;
+        recorder.finish().await.unwrap();
+        let file = sink.bytes();
+        for (unit, has_scans, has_stamps) in [1_000_000, 1_000_000_000, u64::MAX]
+            .into_iter()
+            .flat_map(|unit| [(unit, true, true), (unit, true, false), (unit, false, true)])
+        {
+            let mut writer = mcap::Writer::new(Cursor::new(Vec::new())).unwrap();
+            for message in mcap::MessageStream::new(&file).unwrap() {
+                let mut message = message.unwrap();
+                message.log_time -= message.log_time % unit;
+                if !has_stamps {
+                    message.publish_time = message.log_time;
+                }
+                if has_scans || message.channel.topic != "/scan" {
+                    writer.write(&message).unwrap();
+                }
+            }
+            writer.finish().unwrap();
+            let rounded = writer.into_inner().into_inner();
+            assert_eq!(read(&rounded).len(), 20, "{model:?}, {unit}, {has_scans}, {has_stamps}");
+            let outcome = repair(Cursor::new(rounded), &mut Vec::new()).unwrap();
+            assert_eq!(outcome.scans, 20, "{model:?}, {unit}, {has_scans}, {has_stamps}");
+        }
+    }
+}
+
+/// A message does not tell how many steps its last point has.
+#[tokio::test(start_paused = true)]
+async fn a_later_description_tells_the_last_step() {
+    for model in MODELS {
+        let sink = Sink::new();
+        let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+        let sensor = Sensor::builder().connect(sensor_model(model)).await.unwrap();
+        let mut scans = sensor.scans(window_of(300, 305, 4), Rate::hz(10.0)).await.unwrap();
+        let mut delivered = next(&mut recorder, &mut scans, 3).await;
+        recorder.describe(&sensor, &scans).await.unwrap();
+        delivered.extend(next(&mut recorder, &mut scans, 3).await);
+        recorder.finish().await.unwrap();
+        let told = |scan: &Scan| (scan.window(), bits(scan));
+        assert!(read(&sink.bytes()).iter().map(told).eq(delivered.iter().map(told)), "{model:?}");
     }
 }
 
