@@ -514,31 +514,53 @@ fn another_type_is_named() {
     assert!(error.to_string().ends_with(expected), "{error}");
 }
 
+/// Writes scans of a window ten times a second, after some descriptions of a URG-04LX.
+fn described_bag(
+    described: &[Window],
+    window: Window,
+    tenths: std::ops::Range<i64>,
+) -> Cursor<Vec<u8>> {
+    let mut writer = WriteOptions::new().compression(None).create(Cursor::new(Vec::new())).unwrap();
+    for window in described {
+        let metadata = [("start", window.start()), ("end", window.end()), ("cluster", 1)];
+        let metadata = metadata.map(|(key, value)| (key.to_owned(), value.to_string())).into();
+        writer.write_metadata(&Metadata { name: "tokio_scip".to_owned(), metadata }).unwrap();
+    }
+    let name = "sensor_msgs/msg/LaserScan";
+    let schema = writer.add_schema_with_id(1, name, "ros2msg", b"").unwrap();
+    writer.add_channel_with_id(1, schema, "/scan", "cdr", &BTreeMap::new()).unwrap();
+    for tenth in tenths {
+        let stamp = 1_700_000_000 * SECOND + tenth * SECOND / 10;
+        let (data, _) = message(&mut Random::new(1), Form::Defined, SCANNERS[0], window, stamp);
+        let log_time = stamp as u64;
+        let header = MessageHeader { channel_id: 1, sequence: 0, log_time, publish_time: log_time };
+        writer.write_to_known_channel(&header, &data).unwrap();
+    }
+    writer.finish().unwrap();
+    Cursor::new(writer.into_inner().into_inner())
+}
+
+/// A file may have any number of descriptions without a scan. Only the latest sixteen are kept.
+#[test]
+fn a_stream_may_begin_after_fifteen_other_descriptions() {
+    let windows: Vec<Window> = (0..17).map(|more| window(300, 310 + more, 1)).collect();
+    for (count, place, scans) in [(16, 0, 5), (17, 0, 0), (17, 1, 5), (17, 16, 5)] {
+        let bag = described_bag(&windows[..count], windows[place], 0..5);
+        let mut recorded = Recording::read(bag).unwrap().scans();
+        let found = recorded.by_ref().filter(|scan| scan.is_ok()).count();
+        assert_eq!(found, scans, "{place} of {count}");
+        let left_out = counted(&recorded.recording().left_out().counts());
+        let others = left_out.get(&LeftOutReason::OtherWindow).copied().unwrap_or_default();
+        assert_eq!(others, 5 - scans as u64, "{place} of {count}");
+    }
+}
+
 /// Joined, two streams take turns. A part may have the scans of the earlier one alone.
 #[test]
 fn a_part_shows_the_stream_that_it_has() {
     let [long, short] = [window(300, 310, 1), window(400, 420, 1)];
     let bag = |window: Window, seconds: std::ops::Range<i64>| {
-        let mut writer =
-            WriteOptions::new().compression(None).create(Cursor::new(Vec::new())).unwrap();
-        let metadata = [("start", window.start()), ("end", window.end())]
-            .map(|(key, step)| (key.to_owned(), step.to_string()));
-        let metadata = metadata.into_iter().chain([("cluster".to_owned(), "1".to_owned())]);
-        let metadata = metadata.collect();
-        writer.write_metadata(&Metadata { name: "tokio_scip".to_owned(), metadata }).unwrap();
-        let name = "sensor_msgs/msg/LaserScan";
-        let schema = writer.add_schema_with_id(1, name, "ros2msg", b"").unwrap();
-        writer.add_channel_with_id(1, schema, "/scan", "cdr", &BTreeMap::new()).unwrap();
-        for tenth in seconds.start * 10..seconds.end * 10 {
-            let stamp = 1_700_000_000 * SECOND + tenth * SECOND / 10;
-            let (data, _) = message(&mut Random::new(1), Form::Defined, SCANNERS[0], window, stamp);
-            let log_time = stamp as u64;
-            let header =
-                MessageHeader { channel_id: 1, sequence: 0, log_time, publish_time: log_time };
-            writer.write_to_known_channel(&header, &data).unwrap();
-        }
-        writer.finish().unwrap();
-        Cursor::new(writer.into_inner().into_inner())
+        described_bag(&[window], window, seconds.start * 10..seconds.end * 10)
     };
     let mut joined = Vec::new();
     let copied = cut([bag(long, 0..10), bag(short, 3..5)], .., None, &mut joined).unwrap();

@@ -11,6 +11,7 @@ mod compress;
 #[cfg(feature = "compression")]
 mod compressed;
 mod crash_and_full_disk;
+mod drawn_parts;
 mod events;
 #[path = "../../tests/examples/example.rs"]
 mod example;
@@ -25,6 +26,7 @@ mod foreign_scans;
 mod histories;
 mod hostile;
 mod index;
+mod latched;
 mod memory;
 mod models;
 mod nine_sensors;

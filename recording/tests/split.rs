@@ -9,11 +9,11 @@ use tokio::time::sleep;
 use tokio_scip::protocol::Command;
 use tokio_scip::{Error, Rate, Sensor, Window};
 use urg_recording::{
-    Entry, Record, Recorder, RecorderBuilder, Recording, RecordingError, ReplayPace,
+    Entry, Record, Recorder, RecorderBuilder, Recording, RecordingError, ReplayPace, cut,
 };
 
 use super::file::{truth_of, write_truth};
-use super::sink::{next, observed, polls, sensor};
+use super::sink::{Sink, next, observed, polls, sensor};
 
 /// Returns an empty folder for the files of a test.
 pub(super) fn folder(name: &str) -> PathBuf {
@@ -55,6 +55,10 @@ fn scans(records: &[Record]) -> Vec<u32> {
     scans.map(|record| record.sequence).collect()
 }
 
+fn is_version(record: &Record) -> bool {
+    matches!(&record.entry, Entry::Reply(reply) if reply.command == Some(Command::Version))
+}
+
 #[tokio::test(start_paused = true)]
 async fn each_file_of_a_split_recording_replays_alone() {
     let folder = folder("split");
@@ -76,7 +80,6 @@ async fn each_file_of_a_split_recording_replays_alone() {
             let seconds = ended.duration_since(began).unwrap().as_secs_f64();
             assert!(seconds <= 12.0, "{part:?}: {seconds} s");
             // Each file has the sensor's identity, so that it replays without the others.
-            let is_version = |record: &Record| matches!(&record.entry, Entry::Reply(reply) if reply.command == Some(Command::Version));
             assert!(records.iter().any(is_version), "{part:?}");
             let replay = Recording::open(part).unwrap().replay(ReplayPace::Max).unwrap();
             let builder = Sensor::builder().depth(1 << 10);
@@ -98,6 +101,13 @@ async fn each_file_of_a_split_recording_replays_alone() {
         let delivered: Vec<_> =
             delivered.iter().map(|scan| scan.raw_values().collect::<Vec<_>>()).collect();
         assert!(all == delivered, "{name}: {} scans of {}", all.len(), delivered.len());
+        // Each file repeats the sensor's version, and a part of several has it once.
+        let mut part = Vec::new();
+        let inputs: Vec<_> = parts.iter().map(|part| fs::File::open(part).unwrap()).collect();
+        let range = Duration::from_secs(3)..Duration::from_secs(25);
+        cut(inputs, range, None, &mut part).unwrap();
+        let records = Sink::with_bytes(&part).records();
+        assert_eq!(records.iter().filter(|record| is_version(record)).count(), 1, "{name}");
     }
 }
 

@@ -423,6 +423,8 @@ impl History {
         let mut out = Vec::new();
         let outcome =
             copy(vec![file.input(self.is_on_disk)], range.clone(), compression, &mut out)?;
+        let told = outcome.was_truncated || outcome.damaged_parts > 0;
+        is_so(!told, || format!("a part of a whole file: {outcome:?}"))?;
         let part = written(out, (outcome.messages, outcome.scans))?;
         let (mut first, mut inside) = (None, Vec::new());
         // Last message before the part of each latched topic and frame.
