@@ -130,6 +130,7 @@ struct Expected {
     scanner: Scanner,
     window: Window,
     values: Vec<u32>,
+    intensities: Vec<u32>,
     /// Time in the header.
     first_ray: i64,
     revolution: i64,
@@ -273,13 +274,27 @@ fn message(
         values.push(scanner.value(range));
     }
     let whole = out.len();
-    put(&mut out, 0_u32.to_le_bytes());
+    // Some programs write other numbers than a sensor sends, or not one for each range.
+    let other =
+        *random.pick(&[None, None, None, Some(0.5), Some(-1.0), Some(262_144.0), Some(f32::NAN)]);
+    let count = *random.pick(&[0, points, points, points / 2]);
+    put(&mut out, (count as u32).to_le_bytes());
+    let mut intensities = Vec::new();
+    for number in 0..count {
+        let intensity = random.below(1 << 18) as u32;
+        let written = other.filter(|_| number == count / 2).unwrap_or(intensity as f32);
+        put(&mut out, written.to_le_bytes());
+        intensities.push(intensity);
+    }
+    if other.is_some() || count != points {
+        intensities.clear();
+    }
     match form {
         Form::Short => out.truncate(random.below(whole as u64) as usize),
         Form::Compressed => out.splice(..0, [0x28, 0xb5, 0x2f, 0xfd]).for_each(drop),
         _ => {}
     }
-    (out, Expected { scanner, window, values, first_ray: stamp, revolution })
+    (out, Expected { scanner, window, values, intensities, first_ray: stamp, revolution })
 }
 
 /// Names of the message's type: of rosbag2; in mcap-ros2-support's example; in the IDL; of DDS Recorder 1.5.3.
@@ -394,6 +409,7 @@ fn check(scan: &Scan, expected: &Expected) {
         (scan.window(), scan.raw_values().collect()),
         (expected.window, expected.values.clone())
     );
+    assert_eq!(scan.intensities().unwrap_or_default(), expected.intensities);
     let is_distance = |value: &u32| match *value {
         65_533 => expected.scanner.far > 65_533,
         // A UXM sends it for nothing in range.
@@ -446,6 +462,9 @@ async fn every_message_is_a_scan_or_counted() {
         }
         let left_out = recorded.recording().left_out().counts();
         assert_eq!(counted(&left_out), truth.left_out, "{seed}: {left_out:?}");
+        // Nothing more is known of a compressed message.
+        let is_compressed = |count: &&LeftOut| count.reason == LeftOutReason::Compressed;
+        assert!(left_out.iter().filter(is_compressed).all(|count| count.first == "/scan"));
         assert_eq!(scans.len(), truth.scans.len(), "{seed}");
         scans.iter().zip(&truth.scans).for_each(|(scan, expected)| check(scan, expected));
         // The first message of an unknown sensor tells the speed of its motor, to 100 rpm.
