@@ -250,29 +250,15 @@ impl fmt::Display for Sentence<'_> {
             ErrorKind::PermissionDenied { port, group: None } => {
                 write!(f, "no permission to open {port}: give the user read and write access to it")
             }
-            ErrorKind::Busy { port } => write!(
+            ErrorKind::Busy { port } if port.starts_with('/') => write!(
                 f,
                 "{port} is in use: stop the program that has it open, such as gpsd (`sudo fuser {port}` shows it)"
             ),
+            ErrorKind::Busy { port } => {
+                write!(f, "{port} is in use: stop the program that has it open")
+            }
             ErrorKind::Open { port, source } => {
-                let remedy = match source.kind() {
-                    io::ErrorKind::ConnectionRefused => {
-                        ": a sensor on Ethernet may still boot, or serve another client; otherwise start its server, or correct the address"
-                    }
-                    // A UST may leave another client's connection unanswered.
-                    io::ErrorKind::TimedOut if port.starts_with("tcp://") => {
-                        ": check its power and address, and stop other programs that are connected to it; if there is none, power-cycle it"
-                    }
-                    io::ErrorKind::HostUnreachable | io::ErrorKind::NetworkUnreachable => {
-                        ": check its power, cable and address (192.168.0.10 when new), and give this computer an address in the same network"
-                    }
-                    // As the look-up of a host's name fails.
-                    io::ErrorKind::NotFound if port.starts_with("tcp://") => {
-                        ": check the name of the host, and this computer's network"
-                    }
-                    _ => "",
-                };
-                write!(f, "cannot open {port}{remedy}")
+                write!(f, "cannot open {port}{}", remedy(port, source.kind()))
             }
             ErrorKind::NoSuchSensor { serial_number, found } => {
                 let only = if found.is_empty() { "" } else { ", only " };
@@ -283,34 +269,11 @@ impl fmt::Display for Sentence<'_> {
                 )
             }
             ErrorKind::NoAnswer { baud_rate, searched, refused, bytes, words } => {
-                let wherever = if *searched { " at any baud rate" } else { "" };
-                write!(
-                    f,
-                    "{sensor} does not answer{wherever}: check its power and the wiring (after power-up it is silent for some seconds)"
-                )?;
-                let all = refused.iter().map(BaudRate::to_string).collect::<Vec<_>>().join(" or ");
-                if !all.is_empty() {
-                    write!(f, ", and power-cycle it if it is at {all} baud, which the port lacks")?;
-                }
-                if let Some(baud_rate) = baud_rate {
-                    write!(
-                        f,
-                        ", and the baud rate of the serial server ({baud_rate} in its address): it must be the sensor's, which is usually 19200 after power-up"
-                    )?;
-                }
-                if sensor.starts_with("tcp://") {
-                    f.write_str(
-                        ", and stop other programs that are connected to it: it may serve only one",
-                    )?;
-                } else if baud_rate.is_none() && !searched {
-                    f.write_str(", and its model: a UST-05LN or UTX-10LN does not speak SCIP")?;
-                }
+                write_no_answer(f, sensor, *baud_rate, *searched, refused)?;
                 match (bytes, words) {
                     (0, _) => Ok(()),
                     (_, Some(words)) => write!(f, "; found the text \"{words}\""),
-                    (_, None) => {
-                        write!(f, "; found {bytes} bytes that are not a reply of SCIP 1.1")
-                    }
+                    (_, None) => write!(f, "; found {bytes} bytes that are not a SCIP reply"),
                 }
             }
             ErrorKind::Rejected { words, .. } => write!(
@@ -349,24 +312,8 @@ impl fmt::Display for Sentence<'_> {
                 "the laser of {sensor} is switched off: switch it on before asking for scans"
             ),
             ErrorKind::NotConfirmed { operation, command, status, refusal } => {
-                match operation {
-                    Operation::LaserOn => write!(f, "the laser of {sensor} stays off")?,
-                    Operation::LaserOff => write!(f, "the laser of {sensor} stays on")?,
-                    _ => write!(f, "{sensor} does not answer at the new baud rate")?,
-                }
-                match status {
-                    Some(status) => write!(f, ": it answered {command} with status '{status}'")?,
-                    None => write!(f, ": it did not answer {command}")?,
-                }
-                match (refusal, operation) {
-                    (Some(refusal), _) => {
-                        write!(f, ", and refuses to measure with status '{refusal}'")?;
-                    }
-                    (None, Operation::LaserOff) => f.write_str(", and still measures")?,
-                    (None, Operation::LaserOn) => f.write_str(", and did not act on it")?,
-                    (None, _) => f.write_str(" (some adapters misreport theirs)")?,
-                }
-                f.write_str("; power-cycle it")
+                let (status, refusal) = (status.as_ref(), refusal.as_ref());
+                write_not_confirmed(f, sensor, *operation, command, status, refusal)
             }
             ErrorKind::UnsupportedBaudRate { baud_rate, source } => {
                 let why = if source.is_some() {
@@ -386,4 +333,84 @@ impl fmt::Display for Sentence<'_> {
             ErrorKind::Other { source } => source.fmt(f),
         }
     }
+}
+
+/// Returns what to do about an error of opening a port, or nothing if that is not known.
+fn remedy(port: &str, error: io::ErrorKind) -> &'static str {
+    match error {
+        io::ErrorKind::ConnectionRefused => {
+            ": a sensor on Ethernet may still boot, or serve another client; otherwise start its server, or correct the address"
+        }
+        // A UST may leave another client's connection unanswered.
+        io::ErrorKind::TimedOut if port.starts_with("tcp://") => {
+            ": check its power and address, and stop other programs that are connected to it; if there is none, power-cycle it"
+        }
+        io::ErrorKind::HostUnreachable | io::ErrorKind::NetworkUnreachable => {
+            ": check its power, cable and address (192.168.0.10 when new), and give this computer an address in the same network"
+        }
+        // As the look-up of a host's name fails.
+        io::ErrorKind::NotFound if port.starts_with("tcp://") => {
+            ": check the name of the host, and this computer's network"
+        }
+        _ => "",
+    }
+}
+
+/// Writes that no sensor answers, and what to check.
+fn write_no_answer(
+    f: &mut fmt::Formatter<'_>,
+    sensor: &str,
+    baud_rate: Option<BaudRate>,
+    searched: bool,
+    refused: &[BaudRate],
+) -> fmt::Result {
+    let wherever = if searched { " at any baud rate" } else { "" };
+    write!(
+        f,
+        "{sensor} does not answer{wherever}: check its power and the wiring (after power-up it is silent for some seconds)"
+    )?;
+    let all = refused.iter().map(BaudRate::to_string).collect::<Vec<_>>().join(" or ");
+    if !all.is_empty() {
+        write!(f, ", and power-cycle it if it is at {all} baud, which the port lacks")?;
+    }
+    if let Some(baud_rate) = baud_rate {
+        write!(
+            f,
+            ", and the baud rate of the serial server ({baud_rate} in its address): it must be the sensor's, which is usually 19200 after power-up"
+        )?;
+    }
+    if sensor.starts_with("tcp://") {
+        f.write_str(", and stop other programs that are connected to it: it may serve only one")
+    } else if baud_rate.is_none() && !searched {
+        f.write_str(", and its model: a UST-05LN or UTX-10LN does not speak SCIP")
+    } else {
+        Ok(())
+    }
+}
+
+/// Writes that the sensor did not act on a command, whatever its answer was.
+fn write_not_confirmed(
+    f: &mut fmt::Formatter<'_>,
+    sensor: &str,
+    operation: Operation,
+    command: &Text,
+    status: Option<&Text>,
+    refusal: Option<&Text>,
+) -> fmt::Result {
+    match operation {
+        Operation::LaserOn => write!(f, "the laser of {sensor} stays off")?,
+        Operation::LaserOff => write!(f, "the laser of {sensor} stays on")?,
+        _ => write!(f, "{sensor} does not answer at the new baud rate")?,
+    }
+    match status {
+        Some(status) => write!(f, ": it answered {command} with status '{status}'")?,
+        None => write!(f, ": it did not answer {command}")?,
+    }
+    match (refusal, operation) {
+        (Some(refusal), _) => write!(f, ", and refuses to measure with status '{refusal}'")?,
+        (None, Operation::LaserOff) => f.write_str(", and still measures")?,
+        (None, Operation::LaserOn) => f.write_str(", and did not act on it")?,
+        (None, _) => f.write_str(" (some adapters misreport theirs)")?,
+    }
+    f.write_str("; power-cycle it")
 }

@@ -293,6 +293,9 @@ fn o18_messages_and_guide_name_the_programs_that_probe_new_ports() {
     // The driver cannot prevent that they probe; messages and guide name them.
     let busy = ErrorKind::Busy { port: "/dev/ttyACM0".to_owned() }.to_string();
     assert!(busy.contains("gpsd") && busy.contains("sudo fuser /dev/ttyACM0"), "{busy}");
+    // Neither exists on Windows.
+    let busy = ErrorKind::Busy { port: "COM3".to_owned() }.to_string();
+    assert_eq!(busy, "COM3 is in use: stop the program that has it open");
     let guide = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/src/guide/operating.md"));
     for remedy in ["ENV{ID_MM_DEVICE_IGNORE}=\"1\"", "USBAUTO=\"false\""] {
         assert!(guide.contains(remedy), "the guide has no {remedy}");
