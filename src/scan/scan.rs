@@ -14,8 +14,8 @@ use crate::protocol::{Geometry, Measurement, Window};
 /// of the same names, in the same units: radians, metres, and a `Duration` for times. The frame is
 /// the sensor's: x forward, y to the left, angles counter-clockwise from the front (REP 103).
 ///
-/// `==` compares windows, values, numbers and stamps, but no [`Instant`], which is a time of this
-/// process.
+/// `==` compares geometries, windows, values, numbers and stamps, but no [`Instant`], which is a time
+/// of this process.
 ///
 /// The driver makes scans. To test a function that takes a `&Scan`, make one from any values
 /// with [`Scan::builder`].
@@ -100,9 +100,27 @@ impl Scan {
     }
 
     /// Strengths of the reflections, in the order of their steps, in the sensor's own unit: 18 bits. Real
-    /// UST-10LX sent 370 to 1,913, and 0 for each step without a distance. Zip them with
-    /// [`rays`](Self::rays): [`points`](Self::points) leaves out rays. `None` unless you
+    /// UST-10LX sent 370 to 1,913, and 0 for each step without a distance. `None` unless you
     /// [asked for them](crate::SensorBuilder::intensities) and the sensor has them.
+    ///
+    /// Zip them with [`rays`](Self::rays), because [`points`](Self::points) leaves out rays:
+    ///
+    /// ```
+    /// # use tokio_scip::{Scan, Window};
+    /// # let scan = Scan::builder(Window::new(383..=385)?, [900, 0, 1250]).intensities([370, 0, 1913]);
+    /// # let scan = scan.build()?;
+    /// # let mut found = Vec::new();
+    /// if let Some(intensities) = scan.intensities() {
+    ///     for (ray, intensity) in scan.rays().zip(intensities) {
+    ///         if let Some(point) = ray.point() {
+    ///             println!("{:.3} {:.3} {intensity}", point.x, point.y);
+    /// #           found.push((point.range, *intensity));
+    ///         }
+    ///     }
+    /// }
+    /// # assert_eq!(found, [(0.9, 370), (1.25, 1913)]);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn intensities(&self) -> Option<&[u32]> {
         self.values.intensities(self.first, self.window.points())
     }
@@ -180,8 +198,8 @@ impl PartialEq for Scan {
     fn eq(&self, other: &Self) -> bool {
         let meta = |scan: &Self| {
             let ScanMeta { sequence, stamp, lateness, postponed, repeat, .. } = scan.meta;
-            let ScanMeta { scan_time, reconnects, .. } = scan.meta;
-            (sequence, stamp, lateness, postponed, repeat, scan_time, reconnects)
+            let ScanMeta { scan_time, geometry, reconnects, .. } = scan.meta;
+            (sequence, stamp, lateness, postponed, repeat, scan_time, geometry, reconnects)
         };
         self.window == other.window
             && meta(self) == meta(other)
@@ -195,6 +213,7 @@ impl Eq for Scan {}
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::protocol::Specification;
 
     /// Each value equals its index, plus 20.
     fn scan(window: Window) -> Scan {
@@ -220,6 +239,9 @@ mod tests {
         assert_ne!(a, with(ScanMeta { repeat: true, ..a.meta }));
         assert_ne!(a, with(ScanMeta { stamp: SystemTime::UNIX_EPOCH, ..a.meta }));
         assert_ne!(a, with(ScanMeta { scan_time: Duration::ZERO, ..a.meta }));
+        let wider = Specification { steps: Some(0..=768), ..Specification::default() };
+        let geometry = Geometry::in_scip1(&wider);
+        assert_ne!(a, with(ScanMeta { geometry, ..a.meta }));
         let other = |value| scan_of(a.window, a.raw_values().map(|one| one + value));
         assert_eq!(a, Scan { meta: a.meta, ..other(0) });
         assert_ne!(a, Scan { meta: a.meta, ..other(1) });
