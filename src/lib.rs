@@ -57,6 +57,7 @@
 //! |---|---|
 //! | `serial` (default) | serial ports: RS-232 and USB |
 //! | `tcp` (default) | sensors on Ethernet, and serial servers such as ser2net |
+//! | `simd` (default) | on x86, decodes SCIP 2 in half the time |
 //! | `serde` | `Serialize` for scans, windows, versions, states and counters |
 //!
 //! [`SensorBuilder::attach`] and your own [`Connect`](port::Connect) need no feature.

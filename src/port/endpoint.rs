@@ -41,10 +41,10 @@ use crate::{BaudRate, Error, ErrorKind};
 pub enum Endpoint {
     /// A serial port, by its path (Unix) or name (Windows), locked for other programs while it is open.
     ///
-    /// Closing it discards unsent output. If the device takes no bytes, the system closes it for up to
-    /// half a minute nevertheless, on a thread of its own: dropping the port waits at most 20 ms, and
-    /// it is busy until then. The driver drops a port that was unplugged, so that the system can
-    /// assign the same name to the sensor when you plug it in again.
+    /// Closing it discards unsent output. A thread of its own closes it: dropping the port waits at most
+    /// 20 ms. If the device takes no bytes, the system needs up to half a minute, and the port is busy
+    /// meanwhile. The driver drops a port that was unplugged, so that the system can assign the same
+    /// name to the sensor when you plug it in again.
     Serial(String),
     /// Sensor with this serial number, on any USB port of a Hokuyo sensor. Skips busy ports.
     SerialNumber(String),

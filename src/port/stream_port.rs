@@ -21,7 +21,8 @@ pub struct StreamPort<T> {
 }
 
 impl<T> StreamPort<T> {
-    /// Creates a port from an open stream.
+    /// Creates a port from an open stream. The driver does not probe it while it is idle: if it can fail
+    /// silently, as TCP can, set an [idle probe](crate::SensorBuilder::idle_probe).
     pub fn new(stream: T) -> Self {
         Self { stream, baud_rate: None, can_die_silently: false }
     }

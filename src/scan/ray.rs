@@ -6,7 +6,8 @@ use crate::protocol::Measurement;
 /// One direction of a scan and what was measured in it, distance or error code.
 ///
 /// In a scan with a cluster count above 1 a ray stands for several steps: `step` is the first
-/// of them, `angle` lies in their middle, and the measurement is their smallest value.
+/// of them, `angle` lies in their middle, and the measurement is their smallest value, in SCIP 2
+/// their smallest distance if there is one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Ray {

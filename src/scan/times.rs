@@ -55,11 +55,11 @@ impl Scan {
     /// `sensor_msgs/LaserScan`. Point `n` was measured `n * time_increment` later, see
     /// [`Point::offset`](super::Point::offset).
     ///
-    /// SCIP 1.1 has no time stamps, so this one is computed. The motor turns counter-clockwise. A
-    /// revolution ends at the rear (-180 degrees) of a URG, and at the last step of other models. The
-    /// reply begins when a revolution ends, so the first point was measured
-    /// `1 - (angle_min + pi) / (2 pi)` of a [`scan_time`](Self::scan_time) before that end: for
-    /// [`Window::DETECTION`](crate::Window::DETECTION) 83 ms.
+    /// SCIP 1.1 has no time stamps, so this one is computed. The motor turns counter-clockwise. The
+    /// reply begins when a revolution ends: at the rear (-180 degrees) of a URG, where the first point
+    /// was measured `1 - (angle_min + pi) / (2 pi)` of a [`scan_time`](Self::scan_time) before; at the
+    /// last step of other models. For [`Window::DETECTION`](crate::Window::DETECTION) of a URG-04LX
+    /// that is 83 ms, of a UST-10LX 19 ms.
     ///
     /// The revolution ended its [`lateness`](ScanTimes::lateness) before the reply arrived. Check
     /// the [`quality`](ScanTimes::quality) to see whether the lateness is known.
@@ -118,14 +118,14 @@ impl Scan {
     }
 
     /// Time from one point to the next: the part of the motor's revolution between them,
-    /// 97.66 us per step at 600 rpm.
+    /// 97.66 us per step of a URG-04LX at 600 rpm.
     pub fn time_increment(&self) -> Duration {
         Duration::from_secs_f64(self.increment())
     }
 
     /// Time of one revolution of the motor: measured to 0.1 % while stamps rest on the motor or the
-    /// sensor's clock, otherwise the nominal time from the sensor's firmware line, or else
-    /// 100 ms (600 rpm).
+    /// sensor's clock, otherwise the nominal time that the sensor tells, or 100 ms (600 rpm) if it
+    /// tells none.
     pub fn scan_time(&self) -> Duration {
         self.meta.scan_time
     }

@@ -48,8 +48,8 @@ impl SensorBuilder {
     /// Sets the name of the sensor in logs and errors. Default: the name of the
     /// [port](Connect::name), such as `/dev/ttyACM0`.
     ///
-    /// The driver logs inside a span `sensor` with this `name`, a child of the span that is
-    /// current when you build the driver.
+    /// The driver logs inside a span `sensor`, whose field `sensor` is this name. It is a child of the
+    /// span that is current when you build the driver.
     pub fn name(mut self, name: impl Into<String>) -> Self {
         self.config.name = Some(name.into().into());
         self
@@ -79,6 +79,20 @@ impl SensorBuilder {
     /// Sets whether scans have [intensities](crate::Scan::intensities), where the sensor has them: a
     /// UTM or UST. They double the length of a reply. ROS's hokuyo_node 1.7.8 asks a UTM-30LX for no more
     /// than 95° of them, because more crashed its firmware or spoiled the data. Default: `false`.
+    ///
+    /// ```
+    /// # use tokio_scip::{Sensor, Window};
+    /// # use urg_emulator::{Emulator, Model};
+    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+    /// # async fn main() -> Result<(), tokio_scip::Error> {
+    /// # let ust = Emulator::builder().model(Model::Ust10lx).build();
+    /// // With a UST on Ethernet: .open("tcp://192.168.0.10").await?
+    /// let sensor = Sensor::builder().intensities(true).connect(ust).await?;
+    /// let scan = sensor.scan(Window::degrees(-45.0..=45.0)?).await?;
+    /// assert_eq!(scan.intensities().map(<[u32]>::len), Some(scan.len()));
+    /// # Ok(())
+    /// # }
+    /// ```
     pub fn intensities(mut self, intensities: bool) -> Self {
         self.config.wanted.intensities = intensities;
         self
@@ -180,14 +194,14 @@ impl SensorBuilder {
     /// and off on other links.
     ///
     /// Without a probe, a link that died silently shows as
-    /// [`State::Connected`](crate::State::Connected) until your next request or poll. A probe is a
-    /// [fence](crate::guide::trust): 10 bytes to the sensor and at most 16 back, which take 14 ms at
-    /// 19,200 baud. Over TCP, at the default interval, an idle hour cost 110 kB in each direction,
-    /// headers included, and 0.25 s of CPU. A request that arrives during a probe waits for its end.
-    /// While a stream polls more often than the interval, there are no probes. The driver repeats an
-    /// unanswered probe like any fence. At the default interval a silent link counts as lost after at
-    /// most 10 s, and the driver reconnects. While the laser is switched off, the probe also finds a
-    /// sensor that has restarted, and the driver switches its laser off again.
+    /// [`State::Connected`](crate::State::Connected) until your next request or poll. A probe asks for
+    /// one step. In SCIP 1.1 it is a [fence](crate::guide::trust): 10 bytes to the sensor and at most
+    /// 16 back, which take 14 ms at 19,200 baud. Over TCP, at the default interval, an idle hour cost
+    /// 110 kB in each direction, headers included, and 0.25 s of CPU. A request that arrives during a
+    /// probe waits for its end. While a stream polls more often than the interval, there are no probes.
+    /// The driver repeats an unanswered probe like any fence. At the default interval a silent link
+    /// counts as lost after at most 10 s, and the driver reconnects. While the laser is switched off,
+    /// the probe also finds a sensor that has restarted, and the driver switches its laser off again.
     ///
     /// Clamped to 100 ms to 1 day.
     pub fn idle_probe(mut self, interval: Option<Duration>) -> Self {

@@ -53,9 +53,14 @@ impl Sensor {
     ///
     /// # Errors
     ///
-    /// Fails at once if the port does not exist, is not a serial port, is in use or may not be
-    /// opened, and on a loopback. Fails with
-    /// [`NoAnswer`](crate::ErrorKind::NoAnswer) after the open timeout (5 s).
+    /// Fails at once with [`InvalidEndpoint`](crate::ErrorKind::InvalidEndpoint),
+    /// [`NoSuchPort`](crate::ErrorKind::NoSuchPort),
+    /// [`NotASerialPort`](crate::ErrorKind::NotASerialPort), [`Busy`](crate::ErrorKind::Busy),
+    /// [`PermissionDenied`](crate::ErrorKind::PermissionDenied), [`Loopback`](crate::ErrorKind::Loopback),
+    /// or [`Open`](crate::ErrorKind::Open) for other errors of the system. Fails with `Open`, too, if the
+    /// port does not open within the open timeout (5 s), and with
+    /// [`NoAnswer`](crate::ErrorKind::NoAnswer) if no sensor answers within the same time after that.
+    /// A search for a serial number ends with [`NoSuchSensor`](crate::ErrorKind::NoSuchSensor).
     ///
     /// # Panics
     ///
@@ -74,8 +79,8 @@ impl Sensor {
     }
 
     /// Identity of the sensor, as the driver read it when it opened the link (`V`, p. 4 of the
-    /// protocol text C-42-3320-A). Sends no command, so the `STAT:` line may be outdated. Waits for
-    /// a link if there is none.
+    /// protocol text C-42-3320-A; `VV` in SCIP 2). Sends no command, so the `STAT:` line may be
+    /// outdated. Waits for a link if there is none.
     pub async fn version(&self) -> Result<Version, Error> {
         self.known(LinkState::version_reply).await.map(|reply| reply.version)
     }
@@ -112,7 +117,8 @@ impl Sensor {
         self.client.ask(Request::State).await
     }
 
-    /// Switches the laser on (`L1`, p. 4), and confirms it. Succeeds if the laser is on already.
+    /// Switches the laser on (`L1`, p. 4; `BM` in SCIP 2), and confirms it. Succeeds if the laser is on
+    /// already.
     ///
     /// The driver remembers the setting, see [`laser_off`](Self::laser_off).
     ///
@@ -123,8 +129,8 @@ impl Sensor {
         self.client.ask(|responder| Request::Laser { on: true, responder }).await
     }
 
-    /// Switches the laser off (`L0`, p. 4), and confirms it: the sensor refuses to measure.
-    /// Succeeds if the laser is off already.
+    /// Switches the laser off (`L0`, p. 4; `QT` in SCIP 2), and confirms it: the sensor refuses to
+    /// measure. Succeeds if the laser is off already.
     ///
     /// Streams pause until you call [`laser_on`](Self::laser_on).
     ///
@@ -144,9 +150,9 @@ impl Sensor {
         self.client.ask(|responder| Request::Laser { on: false, responder }).await
     }
 
-    /// Changes the baud rate of sensor and port (`S`, p. 5), and confirms that the sensor answers
-    /// at the new one. Takes about half a second. The driver restores the baud rate whenever it finds
-    /// the sensor. A sensor on USB accepts it without effect.
+    /// Changes the baud rate of sensor and port (`S`, p. 5; `SS` in SCIP 2), and confirms that the
+    /// sensor answers at the new one. Takes about half a second. The driver restores the baud rate
+    /// whenever it finds the sensor. A sensor on USB accepts it without effect.
     ///
     /// Without a link the driver remembers the baud rate, even if the call fails, and changes to it
     /// when the sensor comes back. With a link, an error other than
@@ -177,8 +183,9 @@ impl Sensor {
         self.client.ask(Request::Reboot).await
     }
 
-    /// Polls once for a scan of `window` (`G`, p. 5), possibly between the polls of streams. The
-    /// scan has the sequence number 0, and no stream counts it.
+    /// Polls once for a scan of `window` (`G`, p. 5; `GD` in SCIP 2), possibly between the polls of
+    /// streams. While a sensor of SCIP 2 sends a stream, returns its next scan. The scan has the
+    /// sequence number 0, and no stream counts it.
     ///
     /// # Errors
     ///

@@ -33,7 +33,7 @@ pub enum State {
     /// The sensor answers.
     #[non_exhaustive]
     Connected {
-        /// Baud rate of the line to the sensor, or `None` without a serial line (USB).
+        /// Baud rate of the line to the sensor, or `None` without a serial line (USB, Ethernet).
         baud_rate: Option<BaudRate>,
         /// True if scans are polled: a stream is open, and the laser is not switched off.
         streaming: bool,
@@ -62,7 +62,8 @@ pub enum State {
 }
 
 impl State {
-    /// Baud rate of the line to the sensor. `None` on USB, and unless [connected](Self::Connected).
+    /// Baud rate of the line to the sensor. `None` on USB and Ethernet, and unless
+    /// [connected](Self::Connected).
     pub fn baud_rate(&self) -> Option<BaudRate> {
         match self {
             Self::Connected { baud_rate, .. } => *baud_rate,

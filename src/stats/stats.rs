@@ -25,7 +25,7 @@ pub struct Stats {
     pub refused: u64,
     /// Malformed replies, by fault.
     pub malformed: MalformedCounts,
-    /// Fences sent: single-step `G`s that prove that no older reply is on its way.
+    /// Fences sent in SCIP 1.1: single-step `G`s that prove that no older reply is on its way.
     pub fences: u64,
     /// Fences that the sensor did not answer in time.
     pub fence_timeouts: u64,
@@ -62,9 +62,10 @@ pub struct Stats {
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct MalformedCounts {
-    /// Another command was echoed, or the echo was damaged.
+    /// Another command was echoed, the echo was damaged, or the reply began before its command can
+    /// have left the wire.
     pub echo: u64,
-    /// The status is missing, or is not one character.
+    /// The status is missing, or has the wrong form for the protocol. In SCIP 2 also a missing line.
     pub status: u64,
     /// A line, or the data as a whole, has the wrong length.
     pub length: u64,

@@ -46,8 +46,8 @@ impl StreamBuilder {
     /// Sets how many of the newest scans to keep for this stream, at least 1. Default:
     /// the depth of the [sensor](crate::SensorBuilder::depth).
     ///
-    /// Streams of the same window and rate share the kept scans: you pay only for the
-    /// deepest stream: about 2 bytes per point, 4 in SCIP 2, 8 with intensities.
+    /// Streams of the same window and rate share the kept scans, so you pay only for the deepest
+    /// stream: about 2 bytes per point, 4 in SCIP 2, 8 with intensities.
     pub fn depth(mut self, scans: usize) -> Self {
         self.depth = scans.max(1);
         self
