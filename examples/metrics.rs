@@ -52,11 +52,13 @@ const COUNTERS: [Counter; 6] = [
 /// Returns the counters as Prometheus reads them.
 fn text(sensors: &[(String, Sensor)]) -> String {
     let mut text = String::new();
+    // One copy of each sensor's counters, so that they agree.
+    let stats: Vec<Stats> = sensors.iter().map(|(_, handle)| handle.stats()).collect();
     for (name, help, value) in COUNTERS {
         text += &format!("# HELP {name} {help}\n# TYPE {name} counter\n");
-        for (sensor, handle) in sensors {
+        for ((sensor, _), stats) in sensors.iter().zip(&stats) {
             // `{:?}` escapes what a label must not contain.
-            text += &format!("{name}{{sensor={sensor:?}}} {}\n", value(&handle.stats()));
+            text += &format!("{name}{{sensor={sensor:?}}} {}\n", value(stats));
         }
     }
     text

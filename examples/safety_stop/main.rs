@@ -78,7 +78,6 @@ pub(crate) const RESTART: Duration = Duration::from_secs(1);
 /// How far the fields reach to each side, in degrees.
 const SIDE: i32 = 30;
 
-/// With the default of 500 ms for a reply, each lost reply would stop the vehicle. The
 /// With the default of 500 ms, each lost reply would stop the vehicle. A sensor answers at the end of a
 /// revolution, and may need another one to switch its laser on.
 pub(crate) fn settings() -> SensorBuilder {
