@@ -20,7 +20,7 @@ pub(crate) enum Call {
     Read,
     /// `poll_write`.
     Write,
-    /// [`Port::set_baud_rate`].
+    /// [`Port::poll_set_baud_rate`].
     SetBaudRate,
 }
 

@@ -23,7 +23,7 @@ impl<P> ReadyPort<P> {
         Self { port, ahead: Vec::new(), is_plain: false }
     }
 
-    /// Returns a port that has neither of both.
+    /// Returns a port without either ability.
     pub(crate) fn plain(port: P) -> Self {
         Self { is_plain: true, ..Self::new(port) }
     }

@@ -3,7 +3,7 @@
 //! tokio's channels.
 //!
 //! A task is polled only after it was woken, so that a lost wake-up shows as a task that
-//! waits for ever. Orders inside of one poll are the business of `src/ring/model.rs`, and
+//! waits for ever. Orders inside of one poll are the business of `src/ring/tests.rs`, and
 //! of tokio's own tests.
 
 use std::cell::{Cell, RefCell};

@@ -1,5 +1,5 @@
 //! A peer that sends hostile bytes: the wake-ups it costs, and which of its bytes reach
-//! a person. `tests/memory.rs` measures the memory it costs.
+//! a person. `tests/limits/memory.rs` measures the memory.
 
 use std::error::Error as _;
 use std::pin::Pin;

@@ -6,11 +6,12 @@ use std::fmt::Debug;
 use futures::stream::{FusedStream, Stream};
 use tokio_scip::port::Connect;
 use tokio_scip::port::StreamPort;
-use tokio_scip::state::StateWatch;
+use tokio_scip::scan::ScanBuilder;
+use tokio_scip::state::{StaleError, StateWatch};
 use tokio_scip::stream::StreamBuilder;
 use tokio_scip::{
-    Driver, Endpoint, Error, Point, Rate, Scan, ScanStream, Sensor, SensorBuilder, State, Stats,
-    Version, Window,
+    Driver, Endpoint, Error, Freshness, Geometry, Point, Rate, ReplyObservation, Scan, ScanStream,
+    Sensor, SensorBuilder, State, Stats, Version, Window,
 };
 use urg_emulator::Emulator;
 
@@ -26,7 +27,12 @@ fn handles_streams_and_data_are_shared_between_threads() {
     shared::<StreamPort<tokio::io::Empty>>();
     shared::<ScanStream>();
     shared::<StreamBuilder>();
+    shared::<StateWatch>();
+    shared::<Freshness>();
+    shared::<StaleError>();
+    shared::<Geometry>();
     shared::<Scan>();
+    shared::<ScanBuilder>();
     shared::<Point>();
     shared::<Window>();
     shared::<Rate>();
@@ -34,6 +40,7 @@ fn handles_streams_and_data_are_shared_between_threads() {
     shared::<State>();
     shared::<Stats>();
     shared::<Error>();
+    shared::<ReplyObservation>();
 }
 
 #[test]
@@ -54,19 +61,27 @@ fn the_driver_is_a_future_that_can_be_spawned() {
 fn every_future_can_be_awaited_in_a_spawned_task(
     sensor: &'static Sensor,
     stream: &'static mut ScanStream,
-    state: &'static mut StateWatch,
+    [connected, changed, waiting]: &'static mut [StateWatch; 3],
     connect: impl Connect,
 ) {
     sent(&Sensor::open("/dev/ttyACM0"));
+    sent(&Sensor::builder().open("/dev/ttyACM0"));
     sent(&Sensor::builder().attach(tokio::io::empty()));
     sent(&Sensor::builder().connect(connect));
-    sent(&state.connected());
     sent(&sensor.version());
+    sent(&sensor.geometry());
+    sent(&sensor.sensor_state());
     sent(&sensor.laser_on());
     sent(&sensor.laser_off());
     sent(&sensor.set_baud_rate(tokio_scip::BaudRate::B19200));
+    sent(&sensor.reboot());
     sent(&sensor.scan(Window::FULL));
     sent(&sensor.scans(Window::FULL, Rate::UNLIMITED).into_future());
     sent(&sensor.close());
     sent(&stream.next());
+    sent(&connected.connected());
+    sent(&changed.changed());
+    sent(&waiting.wait_for(|_| true));
+    #[cfg(feature = "serial")]
+    sent(&tokio_scip::port::list());
 }

@@ -10,8 +10,8 @@ use crate::common::{builder, ms, truthful};
 use tokio_scip::{BaudRate, Driver, ErrorKind, Rate, Sensor, Window};
 use urg_emulator::{Emulator, Model, Verdict};
 
-/// Runs the driver step by step, and drops the future that `ask` makes after `steps` of
-/// them. Returns whether it had finished by then.
+/// Runs the driver step by step, and drops `future` after `steps` of them. Returns whether it had
+/// finished by then.
 async fn drop_after<F: Future>(
     driver: &mut std::pin::Pin<&mut Driver>,
     future: F,
@@ -146,7 +146,7 @@ async fn a01_a_request_dropped_in_the_queue_is_not_written() {
     });
     tokio::task::yield_now().await;
     let before = emulator.counts().commands;
-    let dropped = tokio::time::timeout(crate::common::ms(5), sensor.laser_off()).await;
+    let dropped = tokio::time::timeout(ms(5), sensor.laser_off()).await;
     assert!(dropped.is_err());
     busy.await.unwrap().unwrap();
     sensor.scan(Window::FULL).await.unwrap();
@@ -201,7 +201,7 @@ async fn a_driver_that_never_runs_ends_every_call() {
     tokio::task::yield_now().await;
     drop(driver);
     for answer in [asked, opened] {
-        let answer = tokio::time::timeout(crate::common::ms(60_000), answer).await;
+        let answer = tokio::time::timeout(ms(60_000), answer).await;
         assert!(matches!(answer.unwrap().unwrap().unwrap_err().kind(), ErrorKind::Closed));
     }
     sensor.close().await;
