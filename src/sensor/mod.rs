@@ -201,13 +201,15 @@ impl Sensor {
     /// Polls lie on a fixed grid, without drift. A poll that falls due while the line is busy is sent
     /// as soon as the line is free. Further ones are skipped and never made up. Streams of the same
     /// window and rate share their polls. If the line cannot carry the rate, you get no error: look at
-    /// the achieved rate in the log and [`stats`](Self::stats). [`Window::wire_time`] predicts it.
+    /// the achieved rate in the log and [`stats`](Self::stats). In SCIP 1.1 [`Window::wire_time`]
+    /// predicts it.
     ///
     /// Returns without waiting for a scan or a link. While the link is lost, the stream starts with
     /// [`Disconnected`](crate::ErrorKind::Disconnected) or the reason of the latest attempt, and
-    /// continues when the link is back. While the driver waits for its first link, only
-    /// [`watch_state`](Self::watch_state) has the reason. After [`laser_off`](Self::laser_off) the
-    /// stream pauses, without an error. If the sensor does not measure the window, the stream yields
+    /// continues when the link is back. While the driver waits for its first link, the stream yields
+    /// nothing: [`freshness`](Self::freshness) and [`watch_state`](Self::watch_state) have the reason.
+    /// After [`laser_off`](Self::laser_off) the stream pauses, without an error. If the sensor does not
+    /// measure the window, the stream yields
     /// [`WindowError::NotMeasured`](crate::protocol::WindowError::NotMeasured) once, and no scans while
     /// this sensor is connected.
     ///
