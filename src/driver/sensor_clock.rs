@@ -72,6 +72,8 @@ pub(crate) struct SensorClock {
 struct Lines {
     /// Clock of the latest scan in seconds.
     clock: f64,
+    /// Seconds since the first scan.
+    age: f64,
     /// Arrivals by the sensor's clock.
     arrivals: Line,
     /// Ends of revolutions by their number.
@@ -117,9 +119,12 @@ impl SensorClock {
         let late = arrived - lines.arrivals.value;
         let deviation = lines.arrivals.deviation();
         let gate = GATE + 3.0 * deviation;
-        let is_unknown = lines.is_used() && deviation > LARGEST_DEVIATION;
+        // Whole milliseconds are wrong by the same for many scans, so a line leads no further ahead than
+        // it is long, whatever its deviation.
+        let is_unknown = deviation > LARGEST_DEVIATION || passed > lines.age;
         // Nothing was sent before its stream began: the sensor has restarted meanwhile.
-        let is_lost = is_unknown || late > longest + gate;
+        let is_lost = lines.is_used() && is_unknown || late > longest + gate;
+        lines.age += passed;
         let is_at_once = late < lines.late - passed / 2.0;
         let had_moved = lines.has_moved;
         (lines.clock, lines.late) = (clock, late);
@@ -180,6 +185,7 @@ impl SensorClock {
     fn start(&mut self, clock: f64, arrived: f64) -> Revolution {
         self.lines = Some(Lines {
             clock,
+            age: 0.0,
             arrivals: Line::new(arrived, 1.0, RATE_DEVIATION),
             motor: Line::new(arrived, self.nominal, TOLD_PERIOD_DEVIATION * self.nominal),
             count: 0,
