@@ -85,7 +85,7 @@ async fn contents() -> Vec<(Kind, Vec<u8>)> {
         Kind::Event => [&[0, 1, 0, 0][..], &text("{\"event\":\"missed\",\"scans\":1}\0")].concat(),
         Kind::Malformed => {
             let mut data = reply("VV").data.to_vec();
-            // The sum is before the last two line feeds and that of the line.
+            // Three line feeds follow the sum.
             let sum = data.len() - 4;
             data[sum] ^= 1;
             data

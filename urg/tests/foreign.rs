@@ -196,7 +196,7 @@ fn a_bag_is_streamed_with_its_window_and_pace() {
     assert_ne!(scans[0]["start"], formats::scans(&other)[0]["start"]);
 }
 
-/// Runs the program with a bag on its standard input, of which only the beginning can be read twice.
+/// Runs the program with a bag on its standard input, which cannot be read a second time.
 fn piped(file: &Scratch, arguments: &str) -> String {
     let output = output_of(shell(&format!("cat {} | $urg {arguments}", file.path())));
     assert_eq!(output.code, Some(0), "{arguments}: {}", output.stderr);

@@ -256,7 +256,7 @@ impl fmt::Display for Recorded {
     }
 }
 
-/// Standard input. Keeps what is read, until somebody takes that.
+/// Standard input, with a copy of all that is read from it until the copy is taken.
 struct KeptInput(Arc<Mutex<Option<Vec<u8>>>>);
 
 impl Read for KeptInput {
