@@ -18,7 +18,7 @@ const MAX_DECIMALS: usize = 20;
 ///
 /// A URG makes about ten revolutions per second, a UTM or UST 40. [`Rate::hz(10.0)`](Rate::hz) gets a
 /// scan of almost every revolution of a URG, [`Rate::UNLIMITED`] of every revolution of any model. The
-/// line may carry fewer: for SCIP 1.1 see [`Window::wire_time`](crate::Window::wire_time).
+/// line may carry fewer: see [`Window::wire_time`](crate::Window::wire_time).
 ///
 /// As text and as data (feature `serde`) it is `10 Hz`, `0.5 Hz` or `max`. In data, you
 /// may also write a number, or a text without the unit.

@@ -64,7 +64,7 @@ impl RateMeter {
             return false;
         }
         let reached = f64::from(self.scans) / span.as_secs_f64();
-        stats.baud_rate = baud_rate;
+        (stats.baud_rate, stats.revolution) = (baud_rate, self.revolution.as_secs_f32());
         stats.shortfall = match self.failures {
             _ if stats.rate.is_reached_by(reached) => None,
             0 => self.slowness(stats),
@@ -78,12 +78,15 @@ impl RateMeter {
     /// Returns what is too slow, even for the quickest reply: the line if the rate could be reached
     /// without it, or if it takes longer than the sensor.
     fn slowness(&self, stats: &ScheduleStats) -> Option<Shortfall> {
-        let wire_time = stats.baud_rate.map(|baud_rate| stats.window.wire_time(baud_rate));
+        let window = &stats.window;
+        let wire_time =
+            stats.baud_rate.map(|baud_rate| window.wire_time(baud_rate, stats.protocol));
         let wire_time = wire_time.unwrap_or_default();
+        let line_can = stats.baud_rate.is_none_or(|baud_rate| stats.carries(window, baud_rate));
         let can_reach = |each: Duration| stats.rate.is_reached_by(1.0 / each.as_secs_f64());
         let quickest = self.quickest.max(self.revolution);
         let without_line = quickest.saturating_sub(wire_time).max(self.revolution);
-        match can_reach(quickest) {
+        match can_reach(quickest) && line_can {
             true => None,
             false if can_reach(without_line) || wire_time > without_line => Some(Shortfall::Line),
             false => Some(Shortfall::Sensor),
@@ -116,11 +119,20 @@ impl RateMeter {
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
+    use crate::protocol::Protocol;
     use crate::{Rate, Window};
 
     fn stats(rate: Rate) -> ScheduleStats {
-        let (window, reached, shortfall) = (Window::new(0..=384).unwrap(), None, None);
-        ScheduleStats { window, rate, reached, failed: 0, shortfall, baud_rate: None }
+        ScheduleStats {
+            window: Window::new(0..=384).unwrap(),
+            rate,
+            reached: None,
+            failed: 0,
+            shortfall: None,
+            baud_rate: None,
+            protocol: Protocol::Scip1,
+            revolution: 0.0,
+        }
     }
 
     #[test]

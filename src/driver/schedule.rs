@@ -7,6 +7,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use super::rate_meter::RateMeter;
+use crate::protocol::Protocol;
 use crate::ring::{Cursor, Ring};
 use crate::scan::Scan;
 use crate::state::Shared;
@@ -191,6 +192,7 @@ impl Schedules {
         let received_at = scan.received_at();
         let latency = received_at.saturating_duration_since(scan.meta.requested_at);
         schedule.speed.count_scan(latency, scan.scan_time());
+        schedule.stats.protocol = scan.geometry().protocol();
         let (repeats, missed) = schedule.ring.push(scan);
         let newly_missed = missed - std::mem::replace(&mut schedule.missed, missed);
         if repeats || newly_missed > 0 || poll.skipped > 0 {
@@ -258,7 +260,16 @@ impl Schedules {
 
 /// Statistics of a schedule before the first span.
 fn unmeasured(window: Window, rate: Rate) -> ScheduleStats {
-    ScheduleStats { window, rate, reached: None, failed: 0, shortfall: None, baud_rate: None }
+    ScheduleStats {
+        window,
+        rate,
+        reached: None,
+        failed: 0,
+        shortfall: None,
+        baud_rate: None,
+        protocol: Protocol::Scip1,
+        revolution: 0.0,
+    }
 }
 
 #[inline(never)]

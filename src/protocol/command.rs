@@ -77,7 +77,7 @@ impl Command {
     /// Time that this command and its longest reply occupy a line at this baud rate.
     pub(crate) fn wire_time(&self, baud_rate: BaudRate) -> Duration {
         match self {
-            Self::Distances(window) => window.wire_time(baud_rate),
+            Self::Distances(window) => baud_rate.wire_time(window.exchange_len()),
             other => baud_rate.wire_time(other.bytes().len() + 1 + other.reply_len()),
         }
     }

@@ -32,6 +32,7 @@ mod status;
 mod text;
 mod version;
 mod window;
+mod wire_time;
 
 #[doc(no_inline)]
 pub use baud::BaudRate;

@@ -6,9 +6,8 @@ mod tests;
 use std::fmt;
 use std::hash::{Hash, Hasher};
 use std::ops::RangeInclusive;
-use std::time::Duration;
 
-use super::{BaudRate, Geometry};
+use super::Geometry;
 
 /// Last step of a `G` (C-42-3320-A p. 6).
 pub(super) const LAST: u16 = 768;
@@ -262,10 +261,9 @@ impl Window {
         POLL_LEN + 2 + data + data.div_ceil(BLOCK) + 1
     }
 
-    /// Time that one poll of this window occupies a line at this baud rate: command and
-    /// reply, but not the time that the sensor takes to answer.
-    pub fn wire_time(&self, baud_rate: BaudRate) -> Duration {
-        baud_rate.wire_time(POLL_LEN + self.reply_len())
+    /// Number of bytes of a `G` and its reply, terminators included.
+    pub(crate) const fn exchange_len(&self) -> usize {
+        POLL_LEN + self.reply_len()
     }
 
     /// Start, end and cluster count as one number, which is never 0. It is cheaper to compare.

@@ -201,7 +201,7 @@ impl Sensor {
     /// Polls lie on a fixed grid, without drift. A poll that falls due while the line is busy is sent
     /// as soon as the line is free. Further ones are skipped and never made up. Streams of the same
     /// window and rate share their polls. If the line cannot carry the rate, you get no error: look at
-    /// the achieved rate in the log and [`stats`](Self::stats). In SCIP 1.1 [`Window::wire_time`]
+    /// the achieved rate in the log and [`stats`](Self::stats). [`Window::wire_time`]
     /// predicts it.
     ///
     /// Returns without waiting for a scan or a link. While the link is lost, the stream starts with

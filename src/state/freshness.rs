@@ -64,7 +64,7 @@ impl Freshness {
     /// Checks that the last good scan is not older than `limit`.
     ///
     /// With a limit of three periods you tolerate two failed polls. Add the time of a
-    /// reply: for SCIP 1.1 see [`Window::wire_time`](crate::Window::wire_time).
+    /// reply: see [`Window::wire_time`](crate::Window::wire_time).
     ///
     /// # Errors
     ///

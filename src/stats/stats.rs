@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::protocol::{MalformedError, ReplyError};
+use crate::protocol::{MalformedError, Protocol, ReplyError};
 use crate::stats::LatencyStats;
 use crate::{BaudRate, Rate, Window};
 
@@ -148,6 +148,11 @@ pub struct ScheduleStats {
     pub shortfall: Option<Shortfall>,
     /// Baud rate of the line in those seconds, unless it has none or a reply has disproved it.
     pub baud_rate: Option<BaudRate>,
+    #[cfg_attr(feature = "serde", serde(skip))]
+    pub(crate) protocol: Protocol,
+    /// Duration of a revolution, in seconds.
+    #[cfg_attr(feature = "serde", serde(skip))]
+    pub(crate) revolution: f32,
 }
 
 impl ScheduleStats {
@@ -168,18 +173,23 @@ impl ScheduleStats {
         })
     }
 
+    /// Returns true if a line at this baud rate carries scans of `window` at the wanted rate.
+    pub(crate) fn carries(&self, window: &Window, baud_rate: BaudRate) -> bool {
+        // A sensor answers once a revolution, if the request comes before its end.
+        let took = window.wire_time(baud_rate, self.protocol).as_secs_f64();
+        let revolution = f64::from(self.revolution);
+        self.rate.is_reached_by(1.0 / (revolution * (took / revolution / 0.95).ceil()))
+    }
+
     fn explain_line(&self, baud_rate: BaudRate) -> String {
-        let Self { window, rate, .. } = *self;
-        let carries = |window: Window, baud_rate| {
-            // With time for the sensor to answer.
-            rate.period().is_some_and(|period| window.wire_time(baud_rate) < period.mul_f64(0.95))
-        };
+        let window = self.window;
         let cluster = (window.cluster_count() + 1..=99).find(|count| {
             let clustered = window.with_cluster_count(*count);
-            clustered.is_ok_and(|clustered| carries(clustered, baud_rate))
+            clustered.is_ok_and(|clustered| self.carries(&clustered, baud_rate))
         });
-        let faster = BaudRate::ALL.into_iter().find(|faster| carries(window, *faster));
-        let wire_time = window.wire_time(baud_rate);
+        let mut faster = BaudRate::ALL.into_iter().filter(|faster| *faster > baud_rate);
+        let faster = faster.find(|faster| self.carries(&window, *faster));
+        let wire_time = window.wire_time(baud_rate, self.protocol);
         let mut text = format!("a scan takes {} ms at {baud_rate} baud", wire_time.as_millis());
         // Longest time per scan of a stream that is alone on the line. A poll may wait for two slow
         // revolutions, and the last scan may come just too late to be counted.

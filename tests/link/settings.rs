@@ -1,6 +1,7 @@
 //! Laser and baud rate: set, confirmed, and restored.
 
 use crate::common::{builder, ms, truthful};
+use tokio_scip::protocol::Protocol;
 use tokio_scip::{BaudRate, ErrorKind, Operation, Rate, Sensor, State, Window};
 use urg_emulator::{Emulator, Fault, Faults, Firmware, Pace};
 
@@ -279,5 +280,5 @@ async fn a_command_has_its_latency_and_wire_time() {
     };
     let command = command.to_string();
     let asked = Window::new(command[1..4].parse().unwrap()..=command[4..7].parse().unwrap());
-    assert_eq!(*after, ms(500) + asked.unwrap().wire_time(BaudRate::B19200));
+    assert_eq!(*after, ms(500) + asked.unwrap().wire_time(BaudRate::B19200, Protocol::Scip1));
 }

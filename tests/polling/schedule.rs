@@ -7,6 +7,7 @@ use crate::common::{builder, ms, request_of, truthful};
 use futures::StreamExt;
 use futures::stream::FusedStream;
 use tokio::time::{Instant, advance, timeout};
+use tokio_scip::protocol::Protocol;
 use tokio_scip::{BaudRate, ErrorKind, Rate, Scan, ScanStream, Sensor, State, Window};
 use urg_emulator::{Emulator, Fault, Faults, Pace};
 
@@ -61,7 +62,7 @@ async fn t06_a_slow_line_is_reported_once() {
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     let start = Instant::now();
     take(&mut stream, 20).await;
-    let wire = Window::DETECTION.wire_time(BaudRate::B19200);
+    let wire = Window::DETECTION.wire_time(BaudRate::B19200, Protocol::Scip1);
     assert!(start.elapsed() < wire.mul_f64(21.5), "{:?}", start.elapsed());
     let stats = sensor.stats();
     assert!(stats.polls_skipped > 100, "{stats:?}");

@@ -1,6 +1,6 @@
 //! The meaning of each value, and the six baud rates.
 
-use tokio_scip::protocol::{BaudRate, Command, Geometry, Measurement, Text, Window};
+use tokio_scip::protocol::{BaudRate, Command, Geometry, Measurement, Protocol, Text, Window};
 
 use crate::common::{reply_len, wire_time};
 
@@ -117,7 +117,7 @@ fn replies_take_the_milliseconds_of_the_table() {
         assert_eq!(reply_len(window), bytes);
         for (speed, expected) in BaudRate::ALL.into_iter().zip(milliseconds) {
             // A poll is longer by the ten bytes of its command.
-            let time = window.wire_time(speed) - wire_time(speed, 10);
+            let time = window.wire_time(speed, Protocol::Scip1) - wire_time(speed, 10);
             assert_eq!((time.as_secs_f64() * 1000.0).round() as u32, expected, "{window}, {speed}");
         }
     }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tokio_scip::protocol::Protocol;
 use tokio_scip::stats::ScheduleStats;
-use tokio_scip::{BaudRate, Error, Geometry, Rate, Scan, Sensor, Stats, Window};
+use tokio_scip::{Error, Geometry, Rate, Scan, Sensor, Stats, Window};
 
 use super::finding::{Finding, Verdict};
 use crate::format::{listed, pace};
@@ -24,11 +24,10 @@ const MAX_LATENESS_MS: f64 = 5.0;
 
 #[derive(Debug)]
 pub(super) struct Measured {
-    window: Window,
     geometry: Geometry,
-    baud_rate: Option<BaudRate>,
-    /// Rate of the motor, and in scans a second.
-    rate: Rate,
+    /// Time that a scan takes on the line, if there is one.
+    wire_time: Option<Duration>,
+    /// Rate of the motor in scans a second.
     asked: f64,
     scans: Vec<Seen>,
     /// Why the rate is not reached, as the driver explains it.
@@ -54,18 +53,18 @@ impl Measured {
         duration: Duration,
     ) -> Result<Self, Error> {
         let (version, geometry) = (sensor.version().await?, sensor.geometry().await?);
+        let window = window.resolve(&geometry).unwrap_or(window);
         let rpm = version.specification.and_then(|specification| specification.motor_speed);
         let revolution = geometry.revolution().as_secs_f64();
         let asked = rpm.map_or(1.0 / revolution, |rpm| f64::from(rpm) / 60.0);
         let before = sensor.stats();
-        let rate = Rate::hz(asked);
+        let link_rate = sensor.watch_state().get().baud_rate();
         let polled = match geometry.protocol() {
-            Protocol::Scip1 => rate,
-            // Follows the sensor's clock: each scan arrives once.
-            Protocol::Scip2 => Rate::UNLIMITED,
+            // Follows the sensor's clock: each scan arrives once, unless the line is too slow.
+            Protocol::Scip2 if link_rate.is_none() => Rate::UNLIMITED,
+            _ => Rate::hz(asked),
         };
         let mut stream = sensor.scans(window, polled).await?;
-        let link_rate = sensor.watch_state().get().baud_rate();
         let mut scans = Vec::new();
         let watch = async {
             // The driver counts the errors.
@@ -80,7 +79,8 @@ impl Measured {
         let _ = sensor.laser_on().await;
         let after = sensor.stats();
         let baud_rate = link_rate.filter(|_| !after.baud_rate_disproved);
-        Ok(Self { window, geometry, baud_rate, rate, asked, scans, shortfall, before, after })
+        let wire_time = baud_rate.map(|rate| window.wire_time(rate, geometry.protocol()));
+        Ok(Self { geometry, wire_time, asked, scans, shortfall, before, after })
     }
 
     pub(super) fn steps(&self) -> Vec<Finding> {
@@ -148,12 +148,10 @@ impl Measured {
             "{reached:.1} scans a second of {asked:.1}, one every {min:.0} to {max:.0} ms, \
              standard deviation {deviation:.1} ms"
         );
-        if self.rate.is_reached_by(reached) {
+        if Rate::hz(asked).is_reached_by(reached) {
             return Finding::ok("rate", text);
         }
-        let carried = self
-            .baud_rate
-            .map_or(f64::INFINITY, |rate| 1.0 / self.window.wire_time(rate).as_secs_f64());
+        let carried = self.wire_time.map_or(f64::INFINITY, |time| 1.0 / time.as_secs_f64());
         let verdict = match reached < FAILED_RATE * asked.min(carried) {
             true => Verdict::Failed,
             false => Verdict::Weak,
@@ -185,9 +183,9 @@ impl Measured {
             Protocol::Scip2 => ("interval", "a scan follows another after"),
         };
         let text = format!("{what} {mean} ms, {most} ms at most");
-        let wire = self.baud_rate.map(|speed| self.window.wire_time(speed));
         let turns = self.turns().unwrap_or(self.asked).min(self.asked);
-        let good = Duration::from_secs_f64(MAX_REVOLUTIONS / turns) + wire.unwrap_or_default();
+        let good =
+            Duration::from_secs_f64(MAX_REVOLUTIONS / turns) + self.wire_time.unwrap_or_default();
         if longest <= good {
             return Finding::ok(name, text);
         }

@@ -130,13 +130,10 @@ fn text(
     baud_rate: Option<&Speed>,
 ) -> String {
     let mut text = String::new();
-    let mut row = |name, value: String| {
-        if !value.is_empty() {
-            row(&mut text, name, &value);
-        }
-    };
+    let mut row = |name, value: String| row(&mut text, name, &value);
     row("port", port.to_string());
-    row("baud rate", baud_rate.map(|rate| baud_rate_text(port, rate)).unwrap_or_default());
+    let baud_rate = baud_rate.map(|rate| baud_rate_text(port, rate, geometry));
+    row("baud rate", baud_rate.unwrap_or_default());
     row("product", version.product.to_string());
     row("vendor", version.vendor.to_string());
     row("serial number", version.serial_number.to_string());
@@ -175,8 +172,10 @@ fn text(
 }
 
 fn row(text: &mut String, name: &str, value: &str) {
-    // Writing to a `String` is infallible. A file name may contain control characters.
-    let _ = writeln!(text, "{:<14} {}", name.replace('_', " "), escaped(value));
+    if !value.is_empty() {
+        // Writing to a `String` is infallible. A file name may contain control characters.
+        let _ = writeln!(text, "{:<14} {}", name.replace('_', " "), escaped(value));
+    }
 }
 
 /// Formats the sensor's steps, with their directions.
@@ -193,12 +192,14 @@ fn motor(rpm: f64) -> String {
     text + "urg check polls, and measures it"
 }
 
-fn baud_rate_text(port: &PortName, baud_rate: &Speed) -> String {
+fn baud_rate_text(port: &PortName, baud_rate: &Speed, geometry: Option<&Geometry>) -> String {
     match baud_rate {
         None => format!("none ({})", port.line()),
         Some((_, Some(why))) => format!("none: {why}"),
         Some((rate, None)) => {
-            let most = 1.0 / Window::DETECTION.wire_time(*rate).as_secs_f64();
+            let geometry = geometry.unwrap_or(&Geometry::URG_04LX);
+            let all = Window::DETECTION.resolve(geometry).unwrap_or(Window::DETECTION);
+            let most = 1.0 / all.wire_time(*rate, geometry.protocol()).as_secs_f64();
             format!("{rate} baud: at most {most:.1} scans a second of the whole detection window")
         }
     }

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 use std::time::Duration;
 
+use tokio_scip::protocol::Protocol;
 use tokio_scip::{ErrorChain, Freshness, Rate, Sensor, State, Window};
 
 use crate::failure::chain;
@@ -36,7 +37,8 @@ impl SensorHealth {
             _ => "unknown",
         };
         let why = trouble(&state).or_else(|| {
-            let wire_time = line_baud_rate(sensor).map(|rate| window.wire_time(rate));
+            let protocol = sensor.parameters().map_or(Protocol::Scip1, |_| Protocol::Scip2);
+            let wire_time = line_baud_rate(sensor).map(|rate| window.wire_time(rate, protocol));
             let period = rate.period().unwrap_or_default().max(wire_time.unwrap_or_default());
             overdue(&sensor.freshness(), 3 * period + SCAN_GRACE)
         });
