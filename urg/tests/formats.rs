@@ -166,7 +166,7 @@ fn info_shows_the_sensors_identity_as_text_and_json() {
     let text = run("info emulated", 0).stdout;
     assert!(text.contains("serial number  H0713090"), "{text}");
     assert!(text.contains("baud rate      none (USB)"), "{text}");
-    assert!(text.contains("600 rpm nominal: 10 revolutions, and so scans, a second"), "{text}");
+    assert!(text.contains("600 rpm nominal: 10 revolutions and scans a second"), "{text}");
     let json = run("info emulated --baud 115200 --format json", 0).stdout;
     let info: Value = serde_json::from_str(&json).unwrap();
     assert_eq!(info["port"], "emulated");

@@ -1,6 +1,5 @@
 //! Measures a stream of scans and judges it by the limits below.
 
-use std::fmt::Write;
 use std::time::Duration;
 
 use tokio::time::Instant;
@@ -25,8 +24,8 @@ const MAX_LATENESS_MS: f64 = 5.0;
 #[derive(Debug)]
 pub(super) struct Measured {
     geometry: Geometry,
-    /// Time that a scan takes on the line, if there is one.
-    wire_time: Option<Duration>,
+    /// Time that a scan takes on the line. Zero without one.
+    wire_time: Duration,
     /// Rate of the motor in scans a second.
     asked: f64,
     scans: Vec<Seen>,
@@ -80,6 +79,7 @@ impl Measured {
         let after = sensor.stats();
         let baud_rate = link_rate.filter(|_| !after.baud_rate_disproved);
         let wire_time = baud_rate.map(|rate| window.wire_time(rate, geometry.protocol()));
+        let wire_time = wire_time.unwrap_or_default();
         Ok(Self { geometry, wire_time, asked, scans, shortfall, before, after })
     }
 
@@ -130,8 +130,7 @@ impl Measured {
         if !reasons.is_empty() {
             // A sensor that mostly refuses is well connected.
             let advice = if refused > polls / 2 { "" } else { "; check cable, plugs and power" };
-            // Writing to a `String` is infallible.
-            let _ = write!(text, ": {reasons}{advice}");
+            text += &format!(": {reasons}{advice}");
         }
         Finding::new("polls", verdict, text)
     }
@@ -151,7 +150,7 @@ impl Measured {
         if Rate::hz(asked).is_reached_by(reached) {
             return Finding::ok("rate", text);
         }
-        let carried = self.wire_time.map_or(f64::INFINITY, |time| 1.0 / time.as_secs_f64());
+        let carried = 1.0 / self.wire_time.as_secs_f64();
         let verdict = match reached < FAILED_RATE * asked.min(carried) {
             true => Verdict::Failed,
             false => Verdict::Weak,
@@ -176,7 +175,7 @@ impl Measured {
         let longest = self.scans.iter().map(latency).max().unwrap_or_default();
         let mean =
             self.scans.iter().map(latency).sum::<Duration>() / self.scans.len().max(1) as u32;
-        let (mean, most) = (mean.as_millis(), longest.as_millis());
+        let [mean, most] = [mean, longest].map(|time| time.as_millis());
         let (name, what) = match self.geometry.protocol() {
             Protocol::Scip1 => ("latency", "a whole scan takes"),
             // A stream is not polled: these times begin with the scan before.
@@ -184,13 +183,11 @@ impl Measured {
         };
         let text = format!("{what} {mean} ms, {most} ms at most");
         let turns = self.turns().unwrap_or(self.asked).min(self.asked);
-        let good =
-            Duration::from_secs_f64(MAX_REVOLUTIONS / turns) + self.wire_time.unwrap_or_default();
+        let good = Duration::from_secs_f64(MAX_REVOLUTIONS / turns) + self.wire_time;
         if longest <= good {
             return Finding::ok(name, text);
         }
-        let text = format!("{text}: expected at most {} ms", good.as_millis());
-        Finding::weak(name, text)
+        Finding::weak(name, format!("{text}: expected at most {} ms", good.as_millis()))
     }
 
     /// Measured revolutions of the motor in a second.
@@ -214,7 +211,7 @@ impl Measured {
         let mut text =
             format!("{speed:.2} rpm; scans arrive {mean:.1} ms late, {most:.1} ms at most");
         if let Some(ppm) = motor.clock_drift_ppm {
-            let _ = write!(text, "; the sensor's clock is {}", pace(ppm.into()));
+            text += &format!("; the sensor's clock is {}", pace(ppm.into()));
         }
         if motor.jumps > 0 {
             let jumps = motor.jumps;

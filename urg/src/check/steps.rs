@@ -37,31 +37,31 @@ pub(crate) async fn version(sensor: &Sensor) -> Finding {
 fn identity(version: &Version, state: Option<&State>) -> Finding {
     /// Parts of what sensors that work say. Others say `Trouble!! Error No. =[00->33]`.
     const WORKS: [&str; 4] = ["Normal", "works well", "is working", "no error"];
-    const NAME: &str = "version";
     let who = format!("{} {}, {}", version.product, version.serial_number, version.firmware);
     let status = state.map(|state| &state.diagnosis).or(version.status.as_ref());
     let status = status.map(ToString::to_string).unwrap_or_default();
     match status {
         _ if [&version.product, &version.serial_number].contains(&&Text::default()) => {
-            Finding::weak(NAME, format!("product or serial number missing: {who}"))
+            Finding::weak("version", format!("product or serial number missing: {who}"))
         }
         status if !status.is_empty() && !WORKS.iter().any(|part| status.contains(part)) => {
-            Finding::weak(NAME, format!("{who}; its status is {status:?}"))
+            Finding::weak("version", format!("{who}; its status is {status:?}"))
         }
-        _ => Finding::ok(NAME, who),
+        _ => Finding::ok("version", who),
     }
 }
 
 /// Switches the laser off and on. The driver confirms both by asking for a measurement.
 pub(crate) async fn laser(sensor: &Sensor) -> Finding {
-    const NAME: &str = "laser";
     for (switched, state) in [(sensor.laser_off().await, "off"), (sensor.laser_on().await, "on")] {
         if let Err(error) = switched {
-            let text = format!("cannot be switched {state}: {}", chain(&error));
-            return Finding::failed(NAME, text);
+            return Finding::failed(
+                "laser",
+                format!("cannot be switched {state}: {}", chain(&error)),
+            );
         }
     }
-    Finding::ok(NAME, "goes off and on")
+    Finding::ok("laser", "goes off and on")
 }
 
 /// Judges what a recording contains. `topic` is the one whose scans were read.
@@ -93,16 +93,17 @@ pub(crate) fn recording(contents: Contents, topic: &str) -> Vec<Finding> {
 
 /// Streams the window for `duration`, at the rate of the motor.
 pub(crate) async fn scans(sensor: &Sensor, window: Window, duration: Duration) -> Vec<Finding> {
-    match Measured::over(sensor, window, duration).await {
-        Ok(measured) => measured.steps(),
-        Err(error) => vec![Finding::failed("polls", chain(&error))],
-    }
+    let measured = Measured::over(sensor, window, duration).await;
+    let failed = |error| vec![Finding::failed("polls", chain(&error))];
+    measured.map_or_else(failed, |measured| measured.steps())
 }
 
 #[cfg(test)]
 mod tests {
     use tokio_scip::BaudRate;
-    use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Model, Values, WorldTime};
+    use urg_emulator::{
+        Emulator, EmulatorBuilder, Fault, Faults, Firmware, Mode, Model, Values, WorldTime,
+    };
 
     use super::*;
 
@@ -191,10 +192,13 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn a_slow_line_is_weak_and_told_what_helps() {
-        let slow = Emulator::builder().baud_rate(BaudRate::B19200);
-        let (bad, text) = test(slow, Faults::none(), 10).await;
-        assert_eq!(bad, [("rate", Verdict::Weak)], "{text}");
-        assert!(text.contains(", 250000 baud"), "{text}");
+        let slow = || Emulator::builder().baud_rate(BaudRate::B19200);
+        let in_scip2 = slow().firmware(Firmware::V31).mode(Mode::Scip2);
+        for (slow, takes) in [(slow(), "733 ms"), (in_scip2, "1127 ms")] {
+            let (bad, text) = test(slow, Faults::none(), 10).await;
+            assert_eq!(bad, [("rate", Verdict::Weak)], "{text}");
+            assert!(text.contains(takes) && text.contains(", 250000 baud"), "{text}");
+        }
     }
 
     #[tokio::test(start_paused = true)]

@@ -188,8 +188,7 @@ fn window(geometry: &Geometry) -> String {
 
 fn motor(rpm: f64) -> String {
     let rate = (rpm / 6.0).round() / 10.0;
-    let text = format!("{rpm:.0} rpm nominal: {rate} revolutions, and so scans, a second; ");
-    text + "urg check polls, and measures it"
+    format!("{rpm:.0} rpm nominal: {rate} revolutions and scans a second; urg check measures it")
 }
 
 fn baud_rate_text(port: &PortName, baud_rate: &Speed, geometry: Option<&Geometry>) -> String {
