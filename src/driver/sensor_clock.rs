@@ -144,9 +144,9 @@ impl SensorClock {
         // By the first line.
         let end = lines.arrivals.value;
         let unit = step * lines.motor.slope;
-        let turns = ((end - lines.motor.value) / unit).round() * step;
+        let turned = ((end - lines.motor.value) / unit).round() * step;
         let forgotten = (1.0 / MOTOR_MEMORY).max(passed / LONGEST_MOTOR_MEMORY);
-        lines.motor.advance(turns, forgotten);
+        lines.motor.advance(turned, forgotten);
         let off = end - lines.motor.value;
         let motor_gate = MOTOR_GATE + 3.0 * lines.motor.deviation();
         // Within a wider gate, another number of revolutions would fit as well.

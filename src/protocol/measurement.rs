@@ -41,8 +41,8 @@ impl Measurement {
     /// Range in metres as REP 117 of ROS defines it: a distance as it is, `+Inf` where the object
     /// may be beyond the range, `NaN` for every other error code. Do not take `+Inf` as free space.
     ///
-    /// A saturated value is `+Inf`, and so are the error codes 0, 6 and 16 in SCIP 1.1; in SCIP 2 it
-    /// is 0 of a URG, 1 of a UTM-30LX, 65533 of a UST, and 65534 of a UAM.
+    /// A saturated value is `+Inf`, and so are some error codes: 0, 6 and 16 in SCIP 1.1; in SCIP 2 0 of
+    /// a URG, 1 of a UTM-30LX, 65533 of a UST, and 65534 of a UAM.
     pub fn range(self) -> f32 {
         match self {
             Self::Distance(millimetres) => (f64::from(millimetres) / 1000.0) as f32,

@@ -211,11 +211,9 @@ impl Window {
         Self::from_steps(self.start.min(other.start), self.end.max(other.end))
     }
 
-    /// Groups the same steps into clusters of `cluster_count` neighbours. The sensor
-    /// sends the smallest value of each cluster.
-    ///
-    /// In SCIP 1.1 the sensor takes the minimum of raw values, so one error code (0..=19) hides every
-    /// distance of its cluster. Clustering saves time on the line but loses points.
+    /// Groups the same steps into clusters of `cluster_count` neighbours. The sensor sends one value for
+    /// each, which saves time on the line but loses points: in SCIP 2 the smallest distance, in SCIP 1.1
+    /// the smallest value, so that one error code (0..=19) hides every distance of its cluster.
     ///
     /// # Errors
     ///

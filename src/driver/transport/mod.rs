@@ -34,9 +34,9 @@ use super::failure::LinkError;
 use crate::codec::{ExpectedReply, Frame, ScipCodec};
 use crate::port::{Port, PortHints};
 
-/// Room for any reply of a sensor; the longest has 1,576 bytes. A little more, because a
-/// read that fills the buffer needs a second one to see the end. Garbage can make the buffer
-/// grow to 8 KiB, and in SCIP 2 further: a reply may take 16 KiB.
+/// Room for any reply of SCIP 1.1; the longest has 1,576 bytes. A little more, because a read that fills
+/// the buffer needs a second one to see the end. Garbage can make the buffer grow to 8 KiB. In SCIP 2 it
+/// grows to the length of the scans, and a reply may take 16 KiB.
 const READ_BUFFER_BYTES: usize = 1600;
 /// Room for any command, and the LF before it.
 const WRITE_BUFFER_BYTES: usize = 32;
