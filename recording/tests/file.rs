@@ -229,7 +229,7 @@ async fn any_requested_rate_can_be_read_again() {
     }
 }
 
-/// Writes a recording and its content for `tests/recording_readers.py`.
+/// Writes a recording and its content for `urg/tests/recording_readers.py`.
 #[tokio::test(start_paused = true)]
 async fn other_readers_have_a_recording_to_read() {
     let sink = Sink::new();

@@ -67,7 +67,7 @@ async fn repair_keeps_bytes_and_stamps() {
     assert_eq!(most, whole.len());
 }
 
-/// Leaves its file for `tests/recording_readers.py`.
+/// Leaves its file for `urg/tests/recording_readers.py`.
 #[tokio::test(start_paused = true)]
 async fn a_damaged_truncated_file_is_repaired() {
     let sink = Sink::new();

@@ -3,7 +3,7 @@ against what the driver delivered.
 
     cargo test -p urg-recording
     pip install mcap-ros2-support rosbags rerun-sdk
-    python3 tests/recording_readers.py target/tmp/recording.mcap
+    python3 urg/tests/recording_readers.py target/tmp/recording.mcap
 
 Without rerun-sdk, the check of Rerun is left out.
 
@@ -15,7 +15,7 @@ its stamp in nanoseconds, its frame, its ranges. Or, with the program:
 
     urg record emulated run.mcap --count 50
     urg stream run.mcap --rate max --count 50 > run.ndjson
-    python3 tests/recording_readers.py run.mcap laser
+    python3 urg/tests/recording_readers.py run.mcap laser
 
 What was streamed has the ranges and, to the microsecond, the stamps; the frame
 is the one that is named.
