@@ -130,7 +130,6 @@ pub(super) struct StreamPolls {
     /// with its first poll. Without a description, from the first polls.
     streams: VecDeque<Stream>,
     is_described: bool,
-    has_replies: bool,
     /// Sensor of the replies in SCIP 2, by the latest description or reply to `PP`.
     told: Option<Model>,
     pub(super) frame_ids: BTreeSet<String>,
@@ -174,7 +173,6 @@ impl StreamPolls {
         };
         let poll = match record.entry {
             Entry::Reply(reply) => {
-                self.has_replies = true;
                 if let Some(parameters) = reply.parameters() {
                     self.told = Some(parameters.into());
                 }
@@ -189,7 +187,7 @@ impl StreamPolls {
                 self.stamps.push_back((stamp, of.clone()));
                 self.waiting_bytes += reply.bytes.len();
                 let reply = poll(of, Answer::Reply(reply));
-                let message = self.waiting.iter_mut().rfind(|scan| scan.is_made_of(&reply));
+                let message = self.waiting.iter_mut().find(|scan| scan.is_made_of(&reply));
                 if let Some(message) = message {
                     *message = reply;
                     return;
@@ -270,9 +268,12 @@ impl StreamPolls {
 
     /// Returns true if the reply of the next poll, a message, may follow.
     fn may_have_reply(&self) -> bool {
-        let Some(poll) = self.waiting.front().filter(|_| self.has_replies) else { return false };
-        let most = if poll.is_played { MAX_UNPAIRED } else { 2 };
-        matches!(poll.answer, Answer::Values(_)) && self.waiting.len() < most
+        let (Some(poll), Some(last)) = (self.waiting.front(), self.waiting.back()) else {
+            return false;
+        };
+        let is_open = last.at == poll.at && self.waiting.len() < WINDOW_SEARCH_POLLS;
+        let is_near = poll.is_played && self.waiting.len() < MAX_UNPAIRED;
+        matches!(poll.answer, Answer::Values(_)) && (is_open || is_near)
     }
 
     /// Returns the sensor of a reply in SCIP 2: the one whose stream asks for it, or else the latest.

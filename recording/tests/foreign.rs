@@ -156,41 +156,6 @@ async fn scans_played_and_recorded_again_are_read_once() {
     }
 }
 
-/// rosbags 0.11.9 converts a bag of ROS 1 so: of one log time, `/scan` comes before its reply.
-#[tokio::test(start_paused = true)]
-async fn a_scan_before_its_reply_is_read_once() {
-    let models = [Model::Urg04lx, Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx];
-    for (model, is_described) in
-        models.into_iter().flat_map(|model| [(model, false), (model, true)])
-    {
-        let sink = Sink::new();
-        record(sink::model(model), &sink, sink::window(300, 320, 1), 20).await;
-        let recorded = sink.bytes();
-        let mut messages: Vec<_> =
-            mcap::MessageStream::new(&recorded).unwrap().map(Result::unwrap).collect();
-        for place in 1..messages.len() {
-            let [before, after] = [place - 1, place].map(|place| &messages[place]);
-            if after.channel.topic == "/scan" && after.log_time == before.log_time {
-                messages.swap(place - 1, place);
-            }
-        }
-        let mut writer = WriteOptions::new().create(Cursor::new(Vec::new())).unwrap();
-        if is_described {
-            let metadata = sink.open().metadata().clone();
-            writer.write_metadata(&Metadata { name: "tokio_scip".to_owned(), metadata }).unwrap();
-        }
-        for message in messages {
-            writer.write(&mcap::Message { publish_time: message.log_time, ..message }).unwrap();
-        }
-        writer.finish().unwrap();
-        let values = |recording: Recording| -> Vec<Vec<u32>> {
-            recording.scans().map(|scan| scan.unwrap().raw_values().collect()).collect()
-        };
-        let again = Recording::read(Cursor::new(writer.into_inner().into_inner())).unwrap();
-        assert_eq!(values(again), values(sink.open()), "{model:?}, described: {is_described}");
-    }
-}
-
 #[tokio::test(start_paused = true)]
 async fn the_scans_of_several_sensors_are_read_by_topic() {
     let sink = Sink::new();
