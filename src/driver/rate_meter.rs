@@ -119,27 +119,14 @@ impl RateMeter {
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
-    use crate::protocol::Protocol;
     use crate::{Rate, Window};
-
-    fn stats(rate: Rate) -> ScheduleStats {
-        ScheduleStats {
-            window: Window::new(0..=384).unwrap(),
-            rate,
-            reached: None,
-            failed: 0,
-            shortfall: None,
-            baud_rate: None,
-            protocol: Protocol::Scip1,
-            revolution: 0.0,
-        }
-    }
 
     #[test]
     fn a_span_blames_what_it_has_evidence_for() {
         let [quick, slow] = [80, 120].map(Duration::from_millis);
         let revolution = Duration::from_millis(100);
         // A reply takes 69 and 11 ms.
+        let window = Window::new(0..=384).unwrap();
         let (usb, line, fast_line) = (None, Some(BaudRate::B115200), Some(BaudRate::B750000));
         for (rate, scans, took, baud_rate, failures, expected) in [
             (10.0, 30, slow, usb, 0, None),
@@ -153,7 +140,8 @@ mod tests {
             // The motor turns no faster.
             (20.0, 30, quick, fast_line, 0, Some(Shortfall::Sensor)),
         ] {
-            let (mut meter, mut stats) = (RateMeter::new(Instant::now()), stats(Rate::hz(rate)));
+            let (mut meter, mut stats) =
+                (RateMeter::new(Instant::now()), ScheduleStats::new(window, Rate::hz(rate)));
             (0..scans).for_each(|_| meter.count_scan(took, revolution));
             (0..failures).for_each(|_| meter.count_failure());
             let end = meter.since + RATE_SPAN;

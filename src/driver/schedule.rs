@@ -7,7 +7,6 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use super::rate_meter::RateMeter;
-use crate::protocol::Protocol;
 use crate::ring::{Cursor, Ring};
 use crate::scan::Scan;
 use crate::state::Shared;
@@ -228,7 +227,7 @@ impl Schedules {
     /// Pauses polling: all rates are zero until [`resume`](Self::resume).
     pub(crate) fn pause(&mut self) {
         for schedule in &mut self.all {
-            schedule.stats = unmeasured(schedule.stats.window, schedule.stats.rate);
+            schedule.stats = ScheduleStats::new(schedule.stats.window, schedule.stats.rate);
         }
         self.publish();
     }
@@ -258,20 +257,6 @@ impl Schedules {
     }
 }
 
-/// Statistics of a schedule before the first span.
-fn unmeasured(window: Window, rate: Rate) -> ScheduleStats {
-    ScheduleStats {
-        window,
-        rate,
-        reached: None,
-        failed: 0,
-        shortfall: None,
-        baud_rate: None,
-        protocol: Protocol::Scip1,
-        revolution: 0.0,
-    }
-}
-
 #[inline(never)]
 fn find(all: &mut [Schedule], window: Window, rate: Rate) -> Option<&mut Schedule> {
     all.iter_mut()
@@ -282,7 +267,7 @@ impl Schedule {
     fn new(window: Window, rate: Rate) -> Self {
         let now = Instant::now();
         Self {
-            stats: unmeasured(window, rate),
+            stats: ScheduleStats::new(window, rate),
             is_measured: true,
             ring: Ring::new(),
             due: now,

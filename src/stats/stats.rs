@@ -156,6 +156,13 @@ pub struct ScheduleStats {
 }
 
 impl ScheduleStats {
+    /// Statistics before the first span.
+    pub(crate) fn new(window: Window, rate: Rate) -> Self {
+        let (reached, shortfall, baud_rate) = (None, None, None);
+        let (protocol, revolution) = (Protocol::Scip1, 0.0);
+        Self { window, rate, reached, failed: 0, shortfall, baud_rate, protocol, revolution }
+    }
+
     /// Says in a sentence why the rate was not reached and what helps, or `None` without a
     /// [`shortfall`](Self::shortfall).
     pub fn explanation(&self) -> Option<String> {

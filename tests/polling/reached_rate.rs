@@ -144,7 +144,7 @@ fn advised<T: FromStr>(why: &str, word: &str) -> Option<T> {
 #[tokio::test(start_paused = true)]
 async fn what_a_line_needs_for_a_rate_suffices() {
     let (mut random, mut explained) = (Random::new(1), [0; 2]);
-    for (case, protocol) in [Protocol::Scip1, Protocol::Scip2].repeat(100).into_iter().enumerate() {
+    for (case, protocol) in [Protocol::Scip1, Protocol::Scip2].repeat(60).into_iter().enumerate() {
         let steps = 44 + random.below(300) as u16..=725 - random.below(300) as u16;
         let window =
             Window::new(steps).unwrap().with_cluster_count(1 + random.below(3) as u8).unwrap();
@@ -174,5 +174,5 @@ async fn what_a_line_needs_for_a_rate_suffices() {
             assert_eq!(again, None, "{protocol} {asked:?} {reached}: {why}");
         }
     }
-    assert!(explained.iter().all(|count| *count > 10), "{explained:?}");
+    assert!(explained.iter().all(|count| *count > 5), "{explained:?}");
 }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader, DuplexStream, duplex, split};
 use tokio::time::{Instant, sleep, timeout_at};
-use tokio_scip::{Error, Rate, ScanStream, Sensor, Window};
+use tokio_scip::{Error, ErrorChain, Rate, ScanStream, Sensor, Window};
 
 use crate::common::builder;
 
@@ -15,6 +15,11 @@ pub(super) const PARAMETERS: &str = "00P\nMODL:UST-10LX;D\nDMIN:23;7\nDMAX:60000
 
 /// Returns a sensor that answers within a millisecond, and answers `GD` and `MD` like this.
 fn sensor_without_scans(answer: &'static str) -> DuplexStream {
+    sensor(answer, |command| command)
+}
+
+/// Returns a sensor as [`sensor_without_scans`] does, which repeats this of a command.
+fn sensor(answer: &'static str, echo: fn(&str) -> &str) -> DuplexStream {
     let (near, far) = duplex(4096);
     tokio::spawn(async move {
         let (read, mut write) = split(far);
@@ -29,7 +34,7 @@ fn sensor_without_scans(answer: &'static str) -> DuplexStream {
                 None => continue,
             };
             sleep(Duration::from_millis(1)).await;
-            let frame = format!("{command}\n{reply}\n\n");
+            let frame = format!("{}\n{reply}\n\n", echo(&command));
             if write.write_all(frame.as_bytes()).await.is_err() {
                 return;
             }
@@ -78,5 +83,28 @@ async fn a_stream_without_a_scan_is_asked_for_once_a_revolution() {
         let polls = sensor.stats().polls;
         // 200 revolutions.
         assert!((180..=210).contains(&polls), "{answer}: {polls}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_that_does_not_repeat_the_text_of_a_request_is_named() {
+    crate::common::limit::limit();
+    fn own(command: &str) -> &str {
+        command.split(';').next().unwrap()
+    }
+    for (echo, expected) in [
+        (own as fn(&str) -> &str, Some("QT")),
+        // Only of some commands.
+        (|command| if command.starts_with("PP") { own(command) } else { command }, Some("PP")),
+        // It is silent.
+        (|_| "", None),
+    ] {
+        let error = builder().attach(sensor("0Ee", echo)).await.unwrap_err();
+        println!("{error:?}");
+        let text = ErrorChain(&error).to_string();
+        assert_eq!(text.contains(" with its text"), expected.is_some(), "{text}");
+        if let Some(command) = expected {
+            assert!(text.contains(&format!("found \"{command}\"")), "{text}");
+        }
     }
 }

@@ -49,7 +49,7 @@ impl Reply {
         let (left, rest) = match request.strip_echo(frame) {
             Some((left, [b'\n', rest @ ..])) => (left, rest),
             Some((_, [])) => (0, &[][..]),
-            _ => return Err(foreign(frame)),
+            _ => return Err(foreign(request, frame)),
         };
         let mut parts = rest.splitn(2, |&byte| byte == b'\n');
         let (line, data) = (parts.next().unwrap_or_default(), parts.next());
@@ -78,12 +78,16 @@ impl Reply {
 }
 
 /// Error for a frame that does not begin with its request.
-fn foreign(frame: &[u8]) -> ReplyError {
+fn foreign(request: &Request, frame: &[u8]) -> ReplyError {
     let echo = frame.split(|&byte| byte == b'\n').next().unwrap_or_default();
     let found = Text::excerpt(echo);
     match frame {
         [0x02, ..] => ReplyError::Uam,
         [b'H' | b'N', b'D' | b'E', b'0'..=b'9', ..] => ReplyError::MultiEcho { found },
+        _ if request.bytes().split(|&byte| byte == b';').next() == Some(echo) => {
+            let expected = format!("the echo {} with its text", quoted(request.bytes()));
+            MalformedError::in_scip2(None, expected, quoted(echo)).into()
+        }
         _ => ReplyError::Foreign { found },
     }
 }

@@ -4,12 +4,12 @@
 use std::time::Duration;
 
 use super::super::super::failure::ExchangeError;
-use super::super::super::transport::{Expected, ReplyTimes};
+use super::super::super::transport::{Expected, NoFrame, ReplyTimes};
 use super::super::errors::{record_malformed, record_silence, refused};
 use super::{LIMITS, Scip2};
 use crate::codec::Frame;
 use crate::protocol::scip2::{Command, Content, Reply, Request, Status};
-use crate::protocol::{Protocol, Text};
+use crate::protocol::{Protocol, ReplyError, Text};
 use crate::state::KnownFrame;
 use crate::{BaudRate, ErrorKind, RawReply};
 
@@ -85,10 +85,15 @@ impl Scip2<'_> {
         }
         let sent = self.line.transport.send(request.bytes(), &expected, within).await;
         sent.map_err(|failure| record_silence(&self.line.shared, &command, failure))?;
+        let mut unlabelled = None;
         loop {
             let received = self.line.transport.next_frame().await;
-            let received =
-                received.map_err(|failure| record_silence(&self.line.shared, &command, failure))?;
+            let received = received.map_err(|failure| match (failure, unlabelled.take()) {
+                (NoFrame::Late { .. }, Some(error)) => {
+                    record_malformed(&self.line.shared, &command, error, 0)
+                }
+                (failure, _) => record_silence(&self.line.shared, &command, failure),
+            })?;
             let own = match received.frame() {
                 Frame::Reply(all) => {
                     find_own(request, all, &received.times, baud_rate).map(|own| (all, own))
@@ -98,6 +103,11 @@ impl Scip2<'_> {
             let Some((all, (bytes, times))) = own else {
                 let (observers, shared) = (&self.line.observers, &self.line.shared);
                 self.state.take_unasked(&received, baud_rate, observers, shared);
+                if let Frame::Reply(frame) = received.frame()
+                    && let Err(error @ ReplyError::Malformed(_)) = Reply::parse(request, frame)
+                {
+                    unlabelled = Some(error);
+                }
                 continue;
             };
             let answered = (!is_probe).then_some((*request, times));
