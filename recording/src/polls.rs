@@ -268,7 +268,7 @@ impl StreamPolls {
 
     /// Returns true if the reply of the next poll, a message, may follow.
     fn may_have_reply(&self) -> bool {
-        let (Some(poll), Some(last)) = (self.waiting.front(), self.waiting.back()) else {
+        let Some((poll, last)) = self.waiting.front().zip(self.waiting.back()) else {
             return false;
         };
         let is_open = last.at == poll.at && self.waiting.len() < WINDOW_SEARCH_POLLS;
