@@ -268,10 +268,9 @@ impl StreamPolls {
 
     /// Returns true if the reply of the next poll, a message, may follow.
     fn may_have_reply(&self) -> bool {
-        let Some((poll, last)) = self.waiting.front().zip(self.waiting.back()) else {
-            return false;
-        };
-        let is_open = last.at == poll.at && self.waiting.len() < WINDOW_SEARCH_POLLS;
+        let Some(poll) = self.waiting.front() else { return false };
+        let is_open = self.waiting.back().is_some_and(|last| last.at == poll.at)
+            && self.waiting.len() < WINDOW_SEARCH_POLLS;
         let is_near = poll.is_played && self.waiting.len() < MAX_UNPAIRED;
         matches!(poll.answer, Answer::Values(_)) && (is_open || is_near)
     }
