@@ -13,7 +13,7 @@ use std::task::{Context, Poll, ready};
 use std::time::SystemTime;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::time::{Instant, Sleep};
+use tokio::time::Sleep;
 
 use super::shared::Shared;
 use super::timed_device::TimedDevice;
@@ -128,9 +128,7 @@ impl AsyncRead for Link {
                     budget.made_progress();
                     return Poll::Ready(Ok(()));
                 }
-                let now = Instant::now();
-                plugged.host = host;
-                plugged.sensor.advance(now, host);
+                let now = plugged.set_host(host);
                 if plugged.sensor.transmitter.take(now, buffer) {
                     budget.made_progress();
                     return Poll::Ready(Ok(()));
@@ -164,14 +162,12 @@ impl AsyncWrite for Link {
     ) -> Poll<io::Result<usize>> {
         let budget = ready!(tokio::task::coop::poll_proceed(context));
         budget.made_progress();
-        let now = Instant::now();
         let host = self.baud_rate.bits_per_second();
         let mut plugged = self.shared.lock();
         if plugged.link != Some(self.id) || plugged.sensor.is_hung_up {
             return Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()));
         }
-        plugged.host = host;
-        plugged.sensor.advance(now, host);
+        let now = plugged.set_host(host);
         plugged.sensor.receive(now, bytes, host);
         Shared::wake_reader(plugged);
         Poll::Ready(Ok(bytes.len()))

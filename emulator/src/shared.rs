@@ -32,13 +32,14 @@ pub(super) struct Plugged {
 
 impl Plugged {
     /// Sets the baud rate of the host's end. The bytes so far arrived at the one before.
-    pub(super) fn set_host(&mut self, host: Option<u32>) {
+    pub(super) fn set_host(&mut self, host: Option<u32>) -> Instant {
         let now = Instant::now();
         self.sensor.advance(now, self.host);
         if host != self.host {
             self.sensor.transmitter.retune(now);
         }
         self.host = host;
+        now
     }
 }
 

@@ -223,6 +223,19 @@ mod terminal {
         assert!(!reply.starts_with(b"V\n0\n"), "{}", reply.escape_ascii());
     }
 
+    #[tokio::test]
+    async fn a_change_during_a_reply_garbles_the_rest() {
+        let served = serve(&instant_sensor().baud_rate(BaudRate::B19200).build(), None);
+        let mut client = open(&served.path, 19_200);
+        client.write_all(b"G00076801\n").await.unwrap();
+        let (mut begin, mut rest) = ([0; 64], [0; 400]);
+        client.read_exact(&mut begin).await.unwrap();
+        client.set_baud_rate(57_600).unwrap();
+        client.read_exact(&mut rest).await.unwrap();
+        let is_clear = |bytes: &[u8]| bytes.iter().all(|byte| matches!(byte, b'\n' | b'0'..=b'o'));
+        assert!(begin.starts_with(b"G00076801\n0\n") && !is_clear(&rest));
+    }
+
     /// Waits for the first command that reaches the sensor.
     async fn received(emulator: &Emulator) -> Received {
         loop {
