@@ -12,6 +12,7 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
 use crate::output::stderr;
+use crate::port::open::line_baud_rate;
 use crate::recording::contents::ScanTimes;
 use crate::stream::feed::Update;
 use crate::stream::follow::StreamEnd;
@@ -65,7 +66,8 @@ impl<'a> Writing<'a> {
         rate: Rate,
         held: Duration,
     ) -> Self {
-        let (began, times) = (Instant::now() - held, ScanTimes::new(Some(rate)));
+        let times = ScanTimes::new(Some(rate), line_baud_rate(&reporter.sensor));
+        let began = Instant::now() - held;
         let are_told = [false; TROUBLES.len()];
         Self { recorder, reporter, target, held, began, times, refresh_at: began, are_told }
     }

@@ -9,6 +9,7 @@ use std::time::{Duration, SystemTime};
 
 use bytesize::ByteSize;
 use serde_json::{Value, json};
+use tokio_scip::protocol::Protocol;
 use tokio_scip::{BaudRate, Geometry, Rate, Version, Window};
 use urg_recording::{ChunkBytes, Compression, LeftOut, RecordedScans, Recording, RecordingError};
 
@@ -46,7 +47,7 @@ pub(crate) struct Contents {
 pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents, RecordingError> {
     let (window, rate) = (recording.window(), recording.rate());
     let baud_rate = recording.metadata().get("baud_rate").map(|rate| rate.parse().ok());
-    let mut times = ScanTimes::new(rate);
+    let mut times = ScanTimes::new(rate, baud_rate.flatten());
     let mut windows = Windows::default();
     let (mut stamps, mut log_times) = (Clock::default(), Clock::default());
     let mut sensor_clock = SensorClock::default();
@@ -268,9 +269,12 @@ struct ClockStep {
 }
 
 impl ScanTimes {
-    /// Starts before the first scan of a stream of this rate.
-    pub(crate) fn new(rate: Option<Rate>) -> Self {
-        let longest = rate.and_then(|rate| rate.period()).unwrap_or_default() + GAP_TOLERANCE;
+    /// Starts before the first scan of a stream of this rate, on a line of this baud rate.
+    pub(crate) fn new(rate: Option<Rate>, line: Option<BaudRate>) -> Self {
+        let period = rate.and_then(|rate| rate.period()).unwrap_or_default();
+        // The longest scan of the slowest line takes longer than the tolerance.
+        let wire_time = line.map(|line| Window::FULL.wire_time(line, Protocol::Scip2));
+        let longest = period.max(wire_time.unwrap_or_default()) + GAP_TOLERANCE;
         Self { longest, ..Self::default() }
     }
 
@@ -339,7 +343,7 @@ mod tests {
 
     #[test]
     fn gaps_are_listed_with_their_places_in_the_recording() {
-        let mut times = ScanTimes::new(Some(Rate::hz(10.0)));
+        let mut times = ScanTimes::new(Some(Rate::hz(10.0)), None);
         for tenth in (0..20).chain(320..330).chain(341..350) {
             let position = Duration::from_millis(tenth * 100);
             times.add(position, SystemTime::UNIX_EPOCH + position);
@@ -349,6 +353,11 @@ mod tests {
         let listed = |gaps: &[Gap]| listed(gaps, Gap::to_string);
         assert_eq!(listed(&times.gaps), "30.1 s at 0:01, 1.2 s at 0:32");
         assert_eq!(listed(&[]), "none");
+        let mut slow = ScanTimes::new(Some(Rate::UNLIMITED), Some(BaudRate::B19200));
+        for millis in [0, 1_200, 2_400, 5_000] {
+            slow.add(Duration::from_millis(millis), SystemTime::UNIX_EPOCH);
+        }
+        assert_eq!(listed(&slow.gaps), "2.6 s at 0:02");
         let many = [Gap { from: 3_661.0, seconds: 2.0 }; 6];
         assert!(listed(&many).starts_with("6, the first of them 2.0 s at 1:01:01, 2.0 s"));
     }
