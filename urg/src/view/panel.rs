@@ -170,13 +170,15 @@ impl Panel<'_> {
         Some(self.row("latency", format!("{last} ms ({min} to {max})")))
     }
 
-    /// Counts the polls without a scan, one row per cause, because two causes do not fit in a row.
+    /// Counts the scans that did not come, one row per cause, because two causes do not fit in a row.
     fn losses(&self) -> Vec<Line<'static>> {
         let stats = &self.layer.stats;
+        let failed = stats.timeouts + stats.malformed.total() + stats.refused;
         let kinds = [
             (stats.timeouts, "unanswered"),
             (stats.malformed.total(), "malformed"),
             (stats.refused, "refused"),
+            (stats.lost.saturating_sub(failed), "on the way"),
             (stats.disconnects, "unplugged"),
         ];
         let mut name = "lost";

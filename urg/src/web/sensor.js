@@ -144,8 +144,10 @@ class Sensor {
       }
     }
     const malformed = stats ? Object.values(stats.malformed).reduce((sum, count) => sum + count, 0) : 0;
+    // A damaged scan of a stream is also missing by the sensor's clock.
+    const failed = stats ? malformed + stats.timeouts + stats.refused : 0;
     if (stats) {
-      const lost = malformed + stats.timeouts + stats.refused;
+      const lost = Math.max(failed, stats.lost);
       this.figure("losses", String(lost), `${lost === 1 ? "reply" : "replies"}`, `of ${stats.polls}`);
     }
     const { x, y, yaw, upside_down: upsideDown } = this.report.pose;
@@ -161,6 +163,7 @@ class Sensor {
       ["Not answered", stats?.timeouts],
       ["Malformed", stats ? malformed : null],
       ["Refused", stats?.refused],
+      ["Lost on the way", stats ? Math.max(stats.lost - failed, 0) : null],
       ["Polls skipped", stats?.polls_skipped],
       ["Link lost", stats ? `${stats.disconnects}×` : null],
       ["Latency, longest", latency ? `${(latency.max * 1000).toFixed(0)} ms` : null],

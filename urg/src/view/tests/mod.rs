@@ -124,29 +124,10 @@ async fn everything_is_there_in_80x24_and_in_160x50() {
     let model = watched(Emulator::builder().usb().build()).await;
     for (width, height) in [(80, 24), (160, 50)] {
         let screen = screen(&model, width, height);
-        for part in [
-            "/dev/ttyACM0  SOKUIKI Sensor URG-04LX H0713090",
-            "1 m",
-            "2 m",
-            "3 m",
-            "4 m",
-            " 0°",
-            " 30°",
-            "-30°",
-            "link    connected",
-            "line    USB",
-            "steps   44 to 725",
-            "-119.5° to 119.9°",
-            "rate    10.0 of 10 Hz",
-            "latency ",
-            "lost    0",
-            "of 682",
-            "^ far ",
-            "~ weak ",
-            "x none ",
-            "?  help",
-            "q  quit",
-        ] {
+        let parts = "/dev/ttyACM0  SOKUIKI Sensor URG-04LX H0713090|link    connected|line    USB|\
+                     steps   44 to 725|-119.5° to 119.9°|rate    10.0 of 10 Hz|latency |lost    0|\
+                     1 m|2 m|3 m|4 m| 0°| 30°|-30°|of 682|^ far |~ weak |x none |?  help|q  quit";
+        for part in parts.split('|') {
             assert!(screen.contains(part), "{part:?} is missing in\n{screen}");
         }
         // Scan and grid differ even without colours.
@@ -313,11 +294,12 @@ async fn a_lost_link_is_shown_as_long_as_it_lasts() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn polls_without_a_scan_are_counted_by_cause() {
+async fn lost_scans_are_counted_by_cause() {
     let mut model = watched(Emulator::builder().usb().build()).await;
-    (model.layers[0].stats.timeouts, model.layers[0].stats.refused) = (3, 1);
+    let stats = &mut model.layers[0].stats;
+    (stats.timeouts, stats.refused, stats.lost) = (3, 1, 6);
     let screen = screen(&model, 80, 24);
-    for part in ["lost    3 unanswered", "        1 refused", "4 m"] {
+    for part in ["lost    3 unanswered", "        1 refused", "        2 on the way", "4 m"] {
         assert!(screen.contains(part), "{part:?} is missing in\n{screen}");
     }
 }
