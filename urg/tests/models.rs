@@ -27,7 +27,7 @@ fn info_shows_what_a_model_measures() {
         "measures       20 to 30000 mm",
         "window         steps 0 to 1080, -135.00° to 135.00°, 0.250° apart",
         "motor          2400 rpm nominal: 40 revolutions",
-        "state          sensor is working normally, Measuring by Sensitive Mode, laser off",
+        "state          sensor is working normally, Measuring by Sensitive Mode",
         "sensor time    0:0",
     ] {
         assert!(text.contains(row), "{row} is not in\n{text}");

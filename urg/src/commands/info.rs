@@ -21,8 +21,8 @@ use crate::recording::span::{RangeArgs, TopicArgs};
 /// Show the identity and settings of a sensor
 ///
 /// Finds the sensor at any baud rate, and its protocol. In SCIP 2 it also shows the sensor's
-/// clock and state, and whether the laser is on: SCIP 1.1 has no request for these. For a
-/// recording you also see the number of scans and the gaps.
+/// clock and state: SCIP 1.1 has no request for these. On a serial line one scan checks the baud
+/// rate, and switches the laser on. For a recording you also see the number of scans and the gaps.
 #[derive(Debug, clap::Args)]
 #[command(
     // It shows no scan.
@@ -98,13 +98,9 @@ impl Info {
 
 /// Describes what a sensor of SCIP 2 says of itself now.
 fn state_rows(state: &State) -> [Row; 2] {
-    let laser = match state.laser_on {
-        Some(true) => "laser on",
-        Some(false) => "laser off",
-        None => "",
-    };
+    // Not the laser: opening the sensor has just switched it off.
     let (diagnosis, measuring) = (state.diagnosis.to_string(), state.measuring.to_string());
-    let mut words = vec![diagnosis.trim_end_matches('.'), &measuring, laser];
+    let mut words = vec![diagnosis.trim_end_matches('.'), &measuring];
     words.retain(|word| !word.is_empty());
     let clock = state.clock.map(|ms| f64::from(ms) / 1000.0);
     let data = json!({
