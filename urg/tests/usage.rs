@@ -184,7 +184,15 @@ fn an_emulated_sensor_that_cannot_be_served_is_a_failure() {
     let line = failure(&format!("serve emulated --listen {taken}"));
     assert!(line.contains("cannot listen on 127.0.0.1"), "{line}");
     assert!(line.contains("; --listen chooses another address"), "{line}");
+    #[cfg(feature = "foxglove")]
+    {
+        let line = failure(&format!("publish emulated --engine foxglove --listen {taken}"));
+        assert!(line.contains("cannot serve Foxglove on 127.0.0.1"), "{line}");
+        assert!(line.contains("; --listen chooses another address"), "{line}");
+    }
     let file = Scratch::new("file");
+    let line = failure(&format!("emulate --link {}/urg", file.path()));
+    assert!(line.contains(&format!("; there is no folder {}: create", file.path())), "{line}");
     std::fs::write(file.path(), "mine").unwrap();
     failure(&format!("emulate --link {}", file.path()));
     assert_eq!(std::fs::read(file.path()).unwrap(), b"mine");
@@ -233,6 +241,8 @@ fn a_misspelt_or_misplaced_word_gets_a_hint() {
         ("laser off emulated", "expected a port, and off after it"),
         ("baud 115200 emulated", "expected a port, and 115200 after it"),
         ("laser emulated of", "expected on or off, after PORT"),
+        ("laser emulated --wait off", "after PORT and before options"),
+        ("baud emulated --wait 57600", "or 750000, after PORT and before options"),
         ("steam emulated", "'stream'"),
         ("scan emulated --window half", "such as 44..725"),
         ("stream emulated --rate -1", "expected more than 0 and at most 1000 Hz"),

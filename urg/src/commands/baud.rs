@@ -19,8 +19,12 @@ pub(crate) struct Baud {
     #[command(flatten)]
     sensor: SensorArgs,
     /// 19200, 57600, 115200, 250000, 500000 or 750000
-    #[arg(value_name = "RATE", help_heading = None)]
+    #[arg(value_name = "RATE", help_heading = None, value_parser = rate)]
     baud_rate: BaudRate,
+}
+
+fn rate(text: &str) -> Result<BaudRate, String> {
+    text.parse().map_err(|error| format!("{error}, after PORT and before options"))
 }
 
 impl Baud {

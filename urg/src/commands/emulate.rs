@@ -14,6 +14,8 @@ use urg_emulator::{Emulator, Faults, Firmware, Model, Room};
 use crate::args::{duration, listen_address};
 use crate::failure::Failure;
 use crate::output::notice::notice;
+#[cfg(unix)]
+use crate::recording::rewrite::perhaps_without_folder;
 
 /// Emulate a sensor for other programs, until Ctrl-C
 ///
@@ -175,7 +177,7 @@ impl Emulate {
     #[cfg(unix)]
     async fn serve_pty(&self, emulator: &Emulator) -> Result<(), Failure> {
         let failed = |error| match &self.link {
-            Some(link) => Failure::new(format_args!("cannot serve on {}", link.display()), &error),
+            Some(link) => perhaps_without_folder(link, &error),
             None => Failure::new("cannot serve on a pseudo-terminal", &error),
         };
         self.link.as_deref().filter(|_| !self.force).map_or(Ok(()), check_link)?;

@@ -6,8 +6,8 @@ use crate::port::open::SensorArgs;
 
 /// Switch the laser on or off
 ///
-/// The laser keeps this state after the program exits, until you power-cycle the
-/// sensor or a program asks for scans.
+/// The laser keeps this state after the program exits, until you power-cycle the sensor or a program
+/// asks for scans. In SCIP 2 each program that opens the sensor first switches the laser off.
 #[derive(Debug, clap::Args)]
 #[command(allow_missing_positional = true, after_help = "Example:\n  urg laser /dev/ttyACM0 off")]
 pub(crate) struct Laser {
@@ -23,7 +23,7 @@ fn is_on(text: &str) -> Result<bool, &'static str> {
     match text {
         "on" => Ok(true),
         "off" => Ok(false),
-        _ => Err("expected on or off, after PORT: `urg laser PORT off`"),
+        _ => Err("expected on or off, after PORT and before options: `urg laser PORT off`"),
     }
 }
 

@@ -22,7 +22,11 @@ pub(super) fn run(
     opened: &Opened,
 ) -> Result<(), Unavailable> {
     let failed = |error: FoxgloveError| {
-        format!("cannot serve Foxglove on {}: {}", settings.listen, chain(&error))
+        let (address, error) = (settings.listen, chain(&error));
+        format!(
+            "cannot serve Foxglove on {address}: {error}; --listen chooses another address, such \
+             as `--listen 8766`"
+        )
     };
     let context = Context::new();
     // Nodes that publish on the same topic share a channel, as in ROS.
