@@ -8,7 +8,7 @@ use tokio_scip::stats::ScheduleStats;
 use tokio_scip::{Error, Geometry, Rate, Scan, Sensor, Stats, Window};
 
 use super::finding::{Finding, Verdict};
-use crate::format::{listed, pace};
+use crate::format::{counted, listed, pace};
 use crate::stream::jitter::Jitter;
 use crate::stream::rate_watch::schedule;
 
@@ -108,16 +108,17 @@ impl Measured {
     fn polls(&self) -> Finding {
         let (scans, lost) = (self.count(|stats| stats.scans), self.lost());
         let (polls, refused) = (scans + lost, self.count(|stats| stats.refused));
+        let disconnects = self.count(|stats| stats.disconnects);
         let reasons = listed(&[
             (self.count(|stats| stats.timeouts), "unanswered in time"),
             (self.count(|stats| stats.malformed.total()), "malformed"),
             (refused, "refused"),
             (lost - self.failed(), "lost on the way"),
-            (self.count(|stats| stats.disconnects), "times the link was lost"),
+            (disconnects, if disconnects == 1 { "lost link" } else { "lost links" }),
         ]);
         let verdict = if polls == 0
             || self.scans.is_empty()
-            || self.count(|stats| stats.disconnects) > 0
+            || disconnects > 0
             || lost as f64 > MAX_LOSS * polls as f64
         {
             Verdict::Failed
@@ -157,7 +158,7 @@ impl Measured {
         };
         let cause = match &self.shortfall {
             Some(explanation) => explanation.clone(),
-            None if self.lost() > 0 => format!("{} polls brought no scan", self.lost()),
+            None if self.lost() > 0 => counted(self.lost(), "poll") + " brought no scan",
             None => match self.turns().filter(|turns| Rate::hz(*turns).is_reached_by(reached)) {
                 Some(turns) => format!(
                     "each revolution brought one, and the motor turns at {:.0} rpm in place of {:.0}",
@@ -200,6 +201,9 @@ impl Measured {
         let Some(motor) = self.after.motor.filter(|_| !lateness.is_empty()) else {
             let why = match self.geometry.protocol() {
                 Protocol::Scip1 => "only a sensor's own USB port shows it, if scans arrive on time",
+                Protocol::Scip2 if self.wire_time.as_secs_f64() * self.asked > 1.0 => {
+                    "the line is too slow for a scan of each revolution"
+                }
                 Protocol::Scip2 => "test for longer",
             };
             return Finding::ok("motor", format!("not known: {why}"));

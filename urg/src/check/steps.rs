@@ -198,6 +198,7 @@ mod tests {
             let (bad, text) = test(slow, Faults::none(), 10).await;
             assert_eq!(bad, [("rate", Verdict::Weak)], "{text}");
             assert!(text.contains(takes) && text.contains(", 250000 baud"), "{text}");
+            assert!(text.contains("motor    not known") && !text.contains("longer"), "{text}");
         }
     }
 
@@ -218,6 +219,10 @@ mod tests {
         assert!(bad.contains(&("polls", Verdict::Weak)), "{text}");
         assert!(!bad.iter().any(|(_, verdict)| *verdict == Verdict::Failed), "{text}");
         assert!(text.contains("1 unanswered in time"), "{text}");
+        let unplugged = Faults::none().at(20, Fault::HangUp(0));
+        let (bad, text) = test(Emulator::builder().usb(), unplugged, 10).await;
+        assert!(bad.contains(&("polls", Verdict::Failed)), "{text}");
+        assert!(text.contains(": 1 lost link; check cable"), "{text}");
         let much = Faults::none().rate(0.2, Fault::Damaged).seed(1);
         let (bad, text) = test(Emulator::builder().usb(), much, 10).await;
         assert!(bad.contains(&("polls", Verdict::Failed)), "{text}");
