@@ -100,11 +100,20 @@ async fn a_sensor_that_does_not_repeat_the_text_of_a_request_is_named() {
         (|_| "", None),
     ] {
         let error = builder().attach(sensor("0Ee", echo)).await.unwrap_err();
-        println!("{error:?}");
         let text = ErrorChain(&error).to_string();
         assert_eq!(text.contains(" with its text"), expected.is_some(), "{text}");
         if let Some(command) = expected {
             assert!(text.contains(&format!("found \"{command}\"")), "{text}");
         }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn scans_without_the_text_of_their_request_are_named() {
+    for rate in [Rate::UNLIMITED, Rate::hz(40.0)] {
+        let (sensor, errors) = refused("00P\n\nMD0000108001000\n99b", rate).await;
+        let text = ErrorChain(&errors[0]).to_string();
+        assert!(text.contains(" with its text in the reply, found \"MD0000108001000\""), "{text}");
+        assert!(sensor.stats().malformed.total() > 0);
     }
 }

@@ -239,7 +239,13 @@ impl State {
     ) -> Option<(Request, ReplyTimes)> {
         let running = self.running?;
         let request = running.request;
-        let (own, times) = find_own(&request, frame, times, baud_rate)?;
+        let Some((own, times)) = find_own(&request, frame, times, baud_rate) else {
+            // It may lack the label.
+            let error = Reply::parse(&request, frame).err()?;
+            let is_own = matches!(error, ReplyError::Malformed(_));
+            is_own.then(|| self.add_malformed(&request, error, frame.len(), shared))?;
+            return Some((request, *times));
+        };
         let (rest, frame) = frame.split_at(frame.len() - own.len());
         if rest.starts_with(request.bytes())
             && let Err(error) = Reply::parse(&request, rest)
