@@ -135,24 +135,24 @@ fn assumed(message: &LaserScan, resolution: u16) -> Option<Model> {
     Parameters::from_pairs(pairs.chain([("MODL", name)])).ok().map(Model::from)
 }
 
-/// Directions of the first and the last point of a window, in steps: by the definition of a
-/// `LaserScan`, and as `urg_node` writes them, which takes the first and the last step.
-fn ends(window: &Window) -> [[f64; 2]; 2] {
+/// Directions of the first and the last point of a window, in steps.
+pub(super) fn ends(window: &Window) -> [f64; 2] {
     let cluster = f64::from(window.cluster_count());
     let first = f64::from(window.start());
     let middle = first + (cluster.min(window.steps() as f64) - 1.0) / 2.0;
-    let last = middle + cluster * (window.points() - 1) as f64;
-    [[middle, last], [first, f64::from(window.end())]]
+    [middle, middle + cluster * (window.points() - 1) as f64]
 }
 
-/// Returns true if a message has the directions of a stream, but for rounding errors.
+/// Returns true if a message has the directions of a stream, but for rounding errors: by the definition of a
+/// `LaserScan`, or as `urg_node` writes them, which takes the first and the last step.
 fn is_of(message: &LaserScan, Stream { model, window }: &Stream) -> bool {
     let geometry = model.geometry();
     let [first, last] = [message.angle_min, message.angle_max].map(|angle| step(angle, &geometry));
     let by = steps(message.angle_increment, &geometry) - f64::from(window.cluster_count());
     let is_near =
         |[ours, end]: [f64; 2]| by.abs() + (ours - first).abs() + (end - last).abs() < TOLERANCE;
-    window.points() == message.ranges.len() && ends(window).into_iter().any(is_near)
+    window.points() == message.ranges.len()
+        && (is_near(ends(window)) || is_near([window.start().into(), window.end().into()]))
 }
 
 /// Window whose first point has the direction of `angle_min`, if there is one. Its last point has

@@ -5,7 +5,7 @@ use std::collections::{BTreeSet, VecDeque};
 use std::time::{Duration, SystemTime};
 
 use super::event::Event;
-use super::from_ros::MessageScan;
+use super::from_ros::{MessageScan, ends};
 use super::left_out::{LeftOutCounter, LeftOutReason};
 use super::reader::Item;
 use super::record::{Entry, Record};
@@ -110,7 +110,7 @@ impl PollReply {
 
     /// Returns true if this is a poll of the stream.
     fn is_of(&self, stream: &Stream) -> bool {
-        let points = |window: &Window| (window.start(), window.cluster_count(), window.points());
+        let points = |window: &Window| (window.cluster_count(), ends(window));
         let is_same = match &self.answer {
             // A message does not tell how many steps its last point has.
             Answer::Values(_) => points(&stream.window) == points(&self.asked.window),
