@@ -88,10 +88,9 @@ fn revolution(message: &LaserScan) -> Option<f32> {
 /// Intensities of a message, unless they are none of a sensor: whole numbers of 18 bits, one for each range.
 fn intensities(message: &LaserScan) -> Vec<u32> {
     let is_one = |value: &f32| (0.0..=LONGEST as f32).contains(value) && value.fract() == 0.0;
-    let intensities = message.intensities.iter().filter(|value| is_one(value));
-    let intensities: Vec<u32> = intensities.map(|value| *value as u32).collect();
-    let is_whole = intensities.len() == message.intensities.len();
-    if is_whole && intensities.len() == message.ranges.len() { intensities } else { Vec::new() }
+    let intensities = &message.intensities;
+    let are_own = intensities.len() == message.ranges.len() && intensities.iter().all(is_one);
+    intensities.iter().filter(|_| are_own).map(|value| *value as u32).collect()
 }
 
 /// Returns true if the message has the sensor's limits of the ranges, or none.
@@ -119,8 +118,7 @@ fn assumed(message: &LaserScan, resolution: u16) -> Option<Model> {
     let (name, usual) = if resolution == 1024 { ("URG", 600) } else { ("UST", 2400) };
     let name = if max > 65_533.0 { "UXM" } else { name };
     // Nominal, where the message has a measured time.
-    let speed =
-        revolution(message).map_or(usual, |time| (0.6 / time).round().max(1.0) as u32 * 100);
+    let speed = revolution(message).map_or(usual, |time| (0.6 / time).round() as u32 * 100);
     let numbers = [
         ("DMIN", min.max(1.0).round() as u32),
         ("DMAX", max.round() as u32),

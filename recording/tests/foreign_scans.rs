@@ -26,15 +26,31 @@ struct Scanner {
     /// Values that stand for `NaN` and for `+Inf`.
     unknown: u32,
     far: u32,
+    /// Limits in a message, in metres, if others than the sensor's.
+    written: Option<(f32, f32)>,
 }
 
-/// A URG-04LX in SCIP 1.1 and in SCIP 2, sensors of 1,440 and 2,880 steps, and a UXM-30LAH-EWA.
-const SCANNERS: [Scanner; 5] = [
-    Scanner { resolution: 1024, limits: (20.0, 4094.0), unknown: 19, far: 16 },
-    Scanner { resolution: 1024, limits: (20.0, 5600.0), unknown: 19, far: 0 },
-    Scanner { resolution: 1440, limits: (23.0, 60_000.0), unknown: 0, far: 65_533 },
-    Scanner { resolution: 2880, limits: (21.0, 30_000.0), unknown: 0, far: 65_533 },
-    Scanner { resolution: 2880, limits: (23.0, 120_000.0), unknown: 0, far: 120_001 },
+const fn scanner(
+    resolution: u16,
+    limits: (f32, f32),
+    [unknown, far]: [u32; 2],
+    written: Option<(f32, f32)>,
+) -> Scanner {
+    Scanner { resolution, limits, unknown, far, written }
+}
+
+/// A URG-04LX in SCIP 1.1 and in SCIP 2, sensors of 1,440 and 2,880 steps, and a UXM-30LAH-EWA. Then sensors
+/// without limits, with limits that no sensor has, without a lower one, and with a later beginning.
+const SCANNERS: [Scanner; 9] = [
+    scanner(1024, (20.0, 4094.0), [19, 16], None),
+    scanner(1024, (20.0, 5600.0), [19, 0], None),
+    scanner(1440, (23.0, 60_000.0), [0, 65_533], None),
+    scanner(2880, (21.0, 30_000.0), [0, 65_533], None),
+    scanner(2880, (23.0, 120_000.0), [0, 120_001], None),
+    scanner(1440, (20.0, 60_000.0), [0, 65_533], Some((f32::NAN, f32::NAN))),
+    scanner(2880, (20.0, 60_000.0), [0, 65_533], Some((0.1, 300.0))),
+    scanner(1440, (1.0, 30_000.0), [0, 65_533], Some((0.0, 30.0))),
+    scanner(1440, (100.0, 60_000.0), [0, 65_533], None),
 ];
 
 /// Ranges in a message besides distances.
@@ -174,18 +190,23 @@ const FORMS: [Form; 10] = [
     Form::OtherTopic,
 ];
 
-/// Window that a message can tell: the last cluster of a message by definition is whole.
+/// Window that a message can tell: the last cluster of a message by definition has all steps that exist.
 fn any_window(random: &mut Random, form: Form, scanner: Scanner) -> Window {
     loop {
         let most = *random.pick(&[12, 99]);
         let cluster = 1 + random.below(most) as u16;
         let points = 2 + random.below(30) as u16;
+        let start = match random.below(8) {
+            0 => 0,
+            1 => scanner.last() - random.below(300) as u16,
+            _ => random.below(u64::from(scanner.last()) - 68) as u16,
+        };
+        let last = start + (points - 1) * cluster;
         let rest = match form {
             Form::UrgNode => random.below(cluster.into()) as u16,
-            _ => cluster - 1,
+            _ => (cluster - 1).min(scanner.last().saturating_sub(last)),
         };
-        let start = random.below(u64::from(scanner.last()) - 68) as u16;
-        let end = start + (points - 1) * cluster + rest;
+        let end = last + rest;
         // With these angles, both forms are one.
         let is_both = form == Form::UrgNode && cluster % 2 == 1 && rest == 0 && cluster > 1;
         // These may be steps of a sensor of 1,440 as well.
@@ -238,13 +259,17 @@ fn message(
     let (front, step) = (f64::from(scanner.front()), scanner.step());
     let (mut from, mut to, mut by) = ((from - front) * step, (to - front) * step, cluster * step);
     if form == Form::OtherLaser {
-        match random.below(6) {
+        match random.below(7) {
             0 => (from, by) = (from + step / 3.0, by),
             // Clockwise, as of a sensor that is mounted upside down.
             1 => (from, to, by) = (to, from, -by),
             2 => by *= 0.73,
             3 => from = f64::NAN,
             4 => from = -3.1,
+            5 => {
+                let beyond = f64::from(scanner.last() + 1 - window.start()) * step;
+                (from, to) = (from + beyond, to + beyond);
+            }
             _ => points = *random.pick(&[0, 70_000]),
         }
     }
@@ -256,7 +281,8 @@ fn message(
     let (turns, increment) =
         *random.pick(&[(1.0, 0.0), (1.0, increment), (2.0, increment), (10.0, increment)]);
     let scan_time = scan_time * turns;
-    let (least, most) = (scanner.limits.0 / 1000.0, scanner.limits.1 / 1000.0);
+    let own = (scanner.limits.0 / 1000.0, scanner.limits.1 / 1000.0);
+    let (least, most) = scanner.written.unwrap_or(own);
     let fields = [from as f32, to as f32, by as f32, increment, scan_time, least, most];
     fields.iter().for_each(|field| put(&mut out, field.to_le_bytes()));
     let length = match form {
@@ -350,7 +376,13 @@ fn bag(random: &mut Random, described: Option<(Scanner, Window)>) -> (Vec<u8>, T
             window = any_window(random, Form::Defined, scanner);
         }
         let (scanner, written) = match described.filter(|_| random.once_in(2)) {
-            Some(described) => described,
+            Some((known, window)) => {
+                // Of the limits in a message, those of its sensor count.
+                let others = SCANNERS.into_iter().filter(|other| other.kind() == known.kind());
+                let others: Vec<_> = others.filter(|other| other.written.is_none()).collect();
+                let other = if others.is_empty() { known } else { *random.pick(&others) };
+                (if is_mixed { other } else { known }, window)
+            }
             None if form == Form::UrgNode => (scanner, any_window(random, form, scanner)),
             None => (scanner, window),
         };
@@ -384,7 +416,9 @@ fn bag(random: &mut Random, described: Option<(Scanner, Window)>) -> (Vec<u8>, T
             Form::OtherType => Some(LeftOutReason::OtherType),
             Form::OtherTopic => Some(LeftOutReason::OtherTopic),
         };
-        let is_other = described.is_some_and(|described| described != (scanner, expected.window));
+        let is_other = described.is_some_and(|(known, window)| {
+            (known.kind(), window) != (scanner.kind(), expected.window)
+        });
         match reason.or(is_other.then_some(LeftOutReason::OtherWindow)) {
             Some(reason) => *truth.left_out.entry(reason).or_default() += 1,
             None => truth.scans.push(expected),
@@ -417,9 +451,12 @@ fn check(scan: &Scan, expected: &Expected) {
         _ => true,
     };
     let distances: Vec<u32> = scan.distances().flatten().collect();
-    assert!(distances.iter().all(is_distance), "{distances:?}");
+    assert!(distances.iter().all(|value| *value > 0 && is_distance(value)), "{distances:?}");
     let walls = expected.values.iter().filter(|value| **value == 65_533 && is_distance(value));
     assert_eq!(distances.iter().filter(|value| **value == 65_533).count(), walls.count());
+    let (least, most) = scan.geometry().distances().into_inner();
+    let (limits, near) = (expected.scanner.limits, |a: u32, b: f32| (a as f32 - b).abs() <= 1.0);
+    assert!(near(least, limits.0) && near(most, limits.1), "{least}..={most}, {limits:?}");
     let ahead = scan.geometry().degrees(expected.scanner.front());
     let resolution = scan.geometry().steps_per_revolution();
     assert_eq!((ahead, resolution), (0.0, expected.scanner.resolution));
@@ -465,6 +502,9 @@ async fn every_message_is_a_scan_or_counted() {
         // Nothing more is known of a compressed message.
         let is_compressed = |count: &&LeftOut| count.reason == LeftOutReason::Compressed;
         assert!(left_out.iter().filter(is_compressed).all(|count| count.first == "/scan"));
+        let is_other = |count: &&LeftOut| count.reason == LeftOutReason::OtherLaser;
+        let shows = |count: &LeftOut| count.first.contains(" points from ");
+        assert!(left_out.iter().filter(is_other).all(shows), "{left_out:?}");
         assert_eq!(scans.len(), truth.scans.len(), "{seed}");
         scans.iter().zip(&truth.scans).for_each(|(scan, expected)| check(scan, expected));
         // The first message of an unknown sensor tells the speed of its motor, to 100 rpm.
