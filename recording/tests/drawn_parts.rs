@@ -125,7 +125,30 @@ fn file(random: &mut Random, drawn: &[(u64, Kind)], contents: &[(Kind, Vec<u8>)]
         writer.write_to_known_channel(&header, content).unwrap();
     }
     writer.finish().unwrap();
-    writer.into_inner().into_inner()
+    let file = writer.into_inner().into_inner();
+    if random.once_in(2) { shuffled(random, file) } else { file }
+}
+
+/// Shuffles the index of a file, and adds a record of another kind that looks like a chunk's.
+fn shuffled(random: &mut Random, mut file: Vec<u8>) -> Vec<u8> {
+    let mut end = file.split_off(file.len() - 37);
+    let start = u64::from_le_bytes(*end[9..].first_chunk().unwrap()) as usize;
+    let (mut index, mut rest) = (Vec::new(), &file[start..]);
+    while let Some(length) = rest.get(1..9) {
+        let length = u64::from_le_bytes(length.try_into().unwrap()) as usize;
+        let (record, others) = rest.split_at(9 + length);
+        index.insert(random.below(index.len() as u64 + 1) as usize, record.to_vec());
+        rest = others;
+    }
+    let mut other = index.iter().find(|record| record[0] == 0x08).cloned().unwrap_or_default();
+    if let Some([kind, _, _, _, _, _, _, _, _, times @ ..]) = other.get_mut(..25) {
+        (*kind, _) = (0x88, times.fill(0));
+    }
+    index.push(other);
+    let index = index.concat();
+    let crc = crc32fast::hash(&[&index, &end[..25]].concat());
+    end[25..29].copy_from_slice(&crc.to_le_bytes());
+    [&file[..start], &index, &end].concat()
 }
 
 /// Numbers of the records in a part, and the counts of what was left out.

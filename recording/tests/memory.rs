@@ -12,7 +12,7 @@ use super::sink::Sink;
 
 use super::file::Folder;
 use super::raw::{
-    MAGIC, channel, channel_content, chunk_of, event, metadata, of_kind, record, text,
+    MAGIC, channel, channel_content, chunk_of, end, event, metadata, of_kind, read, record, text,
 };
 
 /// A file that consists of a beginning, and of one part many times.
@@ -148,6 +148,31 @@ fn an_index_of_16_mib_is_read() {
         });
         assert_eq!(counted.bytes_max > 16 << 20, is_read, "{}", counted.bytes_max);
     }
+}
+
+/// Makes a schema whose content has this many bytes after its number.
+fn schema(number: u8, length: usize) -> Vec<u8> {
+    let data = vec![number; length - 13];
+    let fields = [&text("x")[..], &text(""), &(data.len() as u32).to_le_bytes(), &data].concat();
+    of_kind(0x03, &[&[number, 0], &fields[..]].concat())
+}
+
+#[test]
+fn definitions_have_64_mib() {
+    let most = (1 << 20) - 2;
+    let long: Vec<u8> = (1..=64).flat_map(|number| schema(number, most)).collect();
+    let rest = (64 << 20) - 64 * most - (channel().len() - 9 - 2);
+    let file = |last: &[u8]| [MAGIC, &channel(), &long, last, &event(0), &end()].concat();
+    for (more, damaged) in [(0, 0), (1, 1)] {
+        // The first one is known.
+        let file = file(&[schema(65, rest + more), schema(1, most)].concat());
+        let counted = measure(|| assert_eq!(read(&file).0.len(), damaged, "{more}"));
+        assert!(counted.bytes_max < 140 << 20, "{} bytes in memory", counted.bytes_max);
+    }
+    // Alone, each of two files fits.
+    let inputs = [file(&schema(65, rest)), [MAGIC, &schema(66, 99), &end()].concat()];
+    let outcome = cut(inputs.map(io::Cursor::new), .., None, io::sink()).unwrap();
+    assert_eq!((outcome.messages, outcome.damaged_parts), (1, 1));
 }
 
 /// A message each second, as of a sensor that is polled rarely.

@@ -29,7 +29,7 @@ fn last_scan(recording: Recording) -> Items {
 }
 
 #[test]
-fn a_part_is_read_without_its_past() {
+fn a_part_is_read_without_its_past_and_future() {
     let (whole, starts) = eight_chunks();
     let mut damaged = whole.clone();
     // Damages the chunks before the last one, except those with the first scan and what
@@ -46,6 +46,12 @@ fn a_part_is_read_without_its_past() {
     assert_eq!(format!("{found:?}"), format!("{:?}", last_scan(read(&whole))));
     // A reply to `V`, the last reply and its scan.
     assert_eq!(found.len(), 3);
+    let first_scan =
+        |recording: Recording| -> Items { recording.range(..Duration::from_secs(1)).collect() };
+    let errors = first_scan(read(&damaged));
+    assert_eq!(errors.iter().filter(|item| item.is_err()).count(), left_out.len());
+    let found = first_scan(Recording::open(folder.write(&damaged)).unwrap());
+    assert_eq!(format!("{found:?}"), format!("{:?}", first_scan(read(&whole))));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! [`Definitions`]: the schemas and channels of a file, which it writes into another one.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
 
 use super::form::map;
@@ -13,9 +13,9 @@ pub(crate) type LostSchema = fn(&[u8]) -> Option<Vec<u8>>;
 #[derive(Default)]
 pub(crate) struct Definitions {
     /// Content of each, after its number.
-    contents: HashMap<(u8, u16), Vec<u8>>,
+    contents: BTreeMap<(u8, u16), Vec<u8>>,
     /// Later definitions that may come from a damaged summary, until a message follows.
-    doubted: Option<HashMap<(u8, u16), Vec<u8>>>,
+    doubted: Option<BTreeMap<(u8, u16), Vec<u8>>>,
     bytes: usize,
     /// Numbers of the channels in another file, by these definitions.
     written: HashMap<u16, u16>,
@@ -53,7 +53,7 @@ impl Definitions {
     /// Accepts a message, and so all definitions before it. Returns false if its channel is not defined.
     pub(super) fn accept(&mut self, channel: u16) -> bool {
         let channel = (kind::CHANNEL, channel);
-        let is_defined = |later: &mut HashMap<_, _>| {
+        let is_defined = |later: &mut BTreeMap<_, _>| {
             later.contains_key(&channel) || self.contents.contains_key(&channel)
         };
         for (key, content) in self.doubted.take_if(is_defined).into_iter().flatten() {
@@ -95,9 +95,7 @@ impl Definitions {
         lost_schema: LostSchema,
         writer: &mut McapWriter<W>,
     ) -> bool {
-        let mut numbers: Vec<_> = self.contents.keys().copied().collect();
-        // Schemas come first.
-        numbers.sort_unstable();
+        let numbers: Vec<_> = self.contents.keys().copied().collect();
         let written = numbers.into_iter().map(|(kind, number)| match kind {
             kind::SCHEMA => writer.declare(kind, number, self.get(kind, number)?),
             _ => self.write_channel(number, lost_schema, writer),
