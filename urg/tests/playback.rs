@@ -3,13 +3,33 @@
 use std::io::Cursor;
 
 use serde_json::Value;
-use tokio_scip::Window;
-use urg_recording::Recording;
+use tokio_scip::{BaudRate, Rate, Sensor, Window};
+use urg_emulator::{Emulator, Firmware, Mode};
+use urg_recording::{Recorder, Recording};
 
 use super::formats::values;
 use super::program::{Scratch, run};
 use super::recorded::recording;
 use super::web::Served;
+
+/// A scan at 19,200 baud takes longer than the replay lets a poll wait.
+#[tokio::test(start_paused = true)]
+async fn a_slow_line_is_played_without_errors() {
+    let file = Scratch::mcap("slow-line");
+    let emulator = Emulator::builder().baud_rate(BaudRate::B19200).mode(Mode::Scip2);
+    let emulator = emulator.firmware(Firmware::V31).build();
+    let sensor = Sensor::builder().connect(emulator).await.unwrap();
+    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut recorder = Recorder::create(file.path()).unwrap();
+    recorder.describe(&sensor, &scans).await.unwrap();
+    while recorder.progress().scans < 2 {
+        recorder.record(&scans.next().await.unwrap()).unwrap();
+    }
+    recorder.finish().await.unwrap();
+    let played = run(&format!("stream {}", file.path()), 0);
+    assert_eq!(played.stdout.lines().count(), 2, "{}", played.stdout);
+    assert_eq!(played.stderr.lines().count(), 1, "{}", played.stderr);
+}
 
 /// Lines of the page's scans.
 struct Lines(super::http::HttpResponse);

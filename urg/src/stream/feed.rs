@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use serde::Serialize;
-use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Window};
+use tokio_scip::{Error, ErrorKind, Rate, Scan, ScanStream, Sensor, Window};
 use urg_recording::{Event, Events};
 
 use crate::failure::Failure;
@@ -94,7 +94,7 @@ impl Feed {
 
     /// Waits for the next update, until the stream ends. Cancel-safe.
     pub(crate) async fn next(&mut self) -> Option<Update> {
-        if self.next.is_empty() {
+        while self.next.is_empty() {
             let item = self.scans.next().await?;
             let events = self.events.from_item(&item);
             match item {
@@ -105,6 +105,10 @@ impl Feed {
                     self.next.extend(events.map(Update::Event));
                     self.next.push_back(Update::Scan(scan));
                 }
+                // The replay leaves polls unanswered that come long before a scan.
+                Err(error)
+                    if matches!(error.kind(), ErrorKind::Timeout { .. })
+                        && self.port.recorded().is_some() => {}
                 Err(error) => self.next.push_back(Update::Error(error)),
             }
         }
