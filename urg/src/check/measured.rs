@@ -116,17 +116,14 @@ impl Measured {
             (lost - self.failed(), "lost on the way"),
             (disconnects, if disconnects == 1 { "lost link" } else { "lost links" }),
         ]);
-        let verdict = if polls == 0
-            || self.scans.is_empty()
-            || disconnects > 0
-            || lost as f64 > MAX_LOSS * polls as f64
-        {
-            Verdict::Failed
-        } else if lost > 0 || !reasons.is_empty() {
-            Verdict::Weak
-        } else {
-            Verdict::Ok
-        };
+        let verdict =
+            if self.scans.is_empty() || disconnects > 0 || lost as f64 > MAX_LOSS * polls as f64 {
+                Verdict::Failed
+            } else if lost > 0 || !reasons.is_empty() {
+                Verdict::Weak
+            } else {
+                Verdict::Ok
+            };
         let mut text = format!("{scans} of {polls} answered with a whole scan");
         if !reasons.is_empty() {
             // A sensor that mostly refuses is well connected.
@@ -152,10 +149,8 @@ impl Measured {
             return Finding::ok("rate", text);
         }
         let carried = 1.0 / self.wire_time.as_secs_f64();
-        let verdict = match reached < FAILED_RATE * asked.min(carried) {
-            true => Verdict::Failed,
-            false => Verdict::Weak,
-        };
+        let has_failed = reached < FAILED_RATE * asked.min(carried);
+        let verdict = if has_failed { Verdict::Failed } else { Verdict::Weak };
         let cause = match &self.shortfall {
             Some(explanation) => explanation.clone(),
             None if self.lost() > 0 => counted(self.lost(), "poll") + " brought no scan",
@@ -183,7 +178,7 @@ impl Measured {
             Protocol::Scip2 => ("interval", "a scan follows another after"),
         };
         let text = format!("{what} {mean} ms, {most} ms at most");
-        let turns = self.turns().unwrap_or(self.asked).min(self.asked);
+        let turns = self.turns().unwrap_or(self.asked);
         let good = Duration::from_secs_f64(MAX_REVOLUTIONS / turns) + self.wire_time;
         if longest <= good {
             return Finding::ok(name, text);
@@ -218,8 +213,8 @@ impl Measured {
             text += &format!("; the sensor's clock is {}", pace(ppm.into()));
         }
         if motor.jumps > 0 {
-            let jumps = motor.jumps;
-            Finding::weak("motor", format!("{text}; it jumped {jumps} times: check the power"))
+            let jumps = counted(motor.jumps, "time");
+            Finding::weak("motor", format!("{text}; it jumped {jumps}: check the power"))
         } else if mean > MAX_LATENESS_MS {
             Finding::weak("motor", format!("{text}: this computer is busy, or its USB is"))
         } else {

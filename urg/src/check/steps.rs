@@ -176,6 +176,10 @@ mod tests {
         assert_eq!(bad, [], "{text}");
         assert!(text.contains("motor    601.4"), "{text}");
         let late = Faults::none().up_to(0.25, Fault::Late(Duration::from_millis(48))).seed(1);
+        let jumps = Faults::none().at(300, Fault::ClockJump(500));
+        let (bad, text) = test(Emulator::builder().model(Model::Utm30lx), jumps, 30).await;
+        assert!(bad.contains(&("motor", Verdict::Weak)), "{text}");
+        assert!(text.contains("it jumped 1 time: check the power"), "{text}");
         let (bad, text) = test(turning(), late, 120).await;
         assert!(bad.contains(&("motor", Verdict::Weak)), "{text}");
         assert!(text.contains("this computer is busy"), "{text}");
@@ -188,6 +192,9 @@ mod tests {
         let (bad, text) = test(slow, Faults::none(), 10).await;
         assert_eq!(bad, [("rate", Verdict::Weak)], "{text}");
         assert!(text.contains("the motor turns at 2143 rpm in place of 2400"), "{text}");
+        let slower = Emulator::builder().usb().revolution(Duration::from_millis(250));
+        let (bad, text) = test(slower, Faults::none(), 10).await;
+        assert!(bad.contains(&("rate", Verdict::Failed)), "{text}");
     }
 
     #[tokio::test(start_paused = true)]
@@ -200,6 +207,9 @@ mod tests {
             assert!(text.contains(takes) && text.contains(", 250000 baud"), "{text}");
             assert!(text.contains("motor    not known") && !text.contains("longer"), "{text}");
         }
+        let (bad, text) = test(slow(), Faults::none(), 1).await;
+        assert_eq!(bad, [("rate", Verdict::Weak)], "{text}");
+        assert!(text.contains("only one scan came"), "{text}");
     }
 
     #[tokio::test(start_paused = true)]
@@ -230,7 +240,13 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_sensor_that_falls_silent_fails() {
+    async fn a_sensor_without_scans_fails() {
+        let (bad, text) = test(Emulator::builder().usb(), Faults::none(), 0).await;
+        assert_eq!(bad, [("polls", Verdict::Failed)], "{text}");
+        let refuses = Faults::none().every(Fault::Status(b'5'));
+        let (bad, text) = test(Emulator::builder().usb(), refuses, 10).await;
+        assert!(bad.contains(&("polls", Verdict::Failed)), "{text}");
+        assert!(text.contains(" refused\n") && !text.contains("check cable"), "{text}");
         let silent = Faults::none().every(Fault::Lost);
         let (bad, text) = test(Emulator::builder().usb(), silent, 10).await;
         assert!(bad.contains(&("laser", Verdict::Failed)), "{text}");
@@ -242,15 +258,11 @@ mod tests {
         let mut version = Version::default();
         (version.product, version.serial_number) = ("UTM-30LX".into(), "H0902680".into());
         let mut state = State::default();
-        for (says, verdict) in [
-            ("", Verdict::Ok),
-            ("Sensor works well.", Verdict::Ok),
-            ("Sensor is working well.", Verdict::Ok),
-            ("Stable 000 no error.", Verdict::Ok),
-            ("sensor is working normally", Verdict::Ok),
-            ("Sensor is in error state.", Verdict::Weak),
-            ("Trouble!! Error No. =[00->33]", Verdict::Weak),
-        ] {
+        let good = "|Sensor works well.|Sensor is working well.|Stable 000 no error.|\
+                    sensor is working normally";
+        let good = good.split('|').map(|says| (says, Verdict::Ok));
+        let bad = ["Sensor is in error state.", "Trouble!! Error No. =[00->33]"];
+        for (says, verdict) in good.chain(bad.map(|says| (says, Verdict::Weak))) {
             state.diagnosis = says.into();
             let finding = identity(&version, Some(&state));
             assert_eq!(finding.verdict, verdict, "{finding}");

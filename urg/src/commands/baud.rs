@@ -19,12 +19,9 @@ pub(crate) struct Baud {
     #[command(flatten)]
     sensor: SensorArgs,
     /// 19200, 57600, 115200, 250000, 500000 or 750000
-    #[arg(value_name = "RATE", help_heading = None, value_parser = rate)]
+    #[arg(value_name = "RATE", help_heading = None, value_parser = |text: &str| text
+        .parse::<BaudRate>().map_err(|error| format!("{error}, after PORT and before options")))]
     baud_rate: BaudRate,
-}
-
-fn rate(text: &str) -> Result<BaudRate, String> {
-    text.parse().map_err(|error| format!("{error}, after PORT and before options"))
 }
 
 impl Baud {

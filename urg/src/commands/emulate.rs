@@ -93,17 +93,6 @@ enum ModelName {
     Ust10lx,
 }
 
-impl From<ModelName> for Model {
-    fn from(name: ModelName) -> Self {
-        match name {
-            ModelName::Urg04lx => Self::Urg04lx,
-            ModelName::Urg04lxUg01 => Self::Urg04lxUg01,
-            ModelName::Utm30lx => Self::Utm30lx,
-            ModelName::Ust10lx => Self::Ust10lx,
-        }
-    }
-}
-
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum FirmwareDialect {
     /// As in the protocol text: V has five lines, unknown commands get no reply
@@ -137,7 +126,12 @@ impl Emulate {
 
     fn emulator(&self) -> Emulator {
         let builder = Emulator::builder()
-            .model(self.model.into())
+            .model(match self.model {
+                ModelName::Urg04lx => Model::Urg04lx,
+                ModelName::Urg04lxUg01 => Model::Urg04lxUg01,
+                ModelName::Utm30lx => Model::Utm30lx,
+                ModelName::Ust10lx => Model::Ust10lx,
+            })
             .firmware(match self.firmware {
                 Some(FirmwareDialect::Text) => Firmware::Text,
                 Some(FirmwareDialect::V3) | None => Firmware::V3,
