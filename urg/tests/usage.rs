@@ -186,9 +186,10 @@ fn an_emulated_sensor_that_cannot_be_served_is_a_failure() {
     assert!(line.contains("; --listen chooses another address"), "{line}");
     #[cfg(feature = "foxglove")]
     {
-        let line = failure(&format!("publish emulated --engine foxglove --listen {taken}"));
+        let publish = format!("publish emulated --engine foxglove --listen {taken}");
+        let line = super::program::Running::start(&publish).notice();
         assert!(line.contains("cannot serve Foxglove on 127.0.0.1"), "{line}");
-        assert!(line.contains("; --listen chooses another address"), "{line}");
+        assert!(line.contains(" (--listen chooses another address): "), "{line}");
     }
     let file = Scratch::new("file");
     let line = failure(&format!("emulate --link {}/urg", file.path()));

@@ -23,10 +23,7 @@ pub(super) fn run(
 ) -> Result<(), Unavailable> {
     let failed = |error: FoxgloveError| {
         let (address, error) = (settings.listen, chain(&error));
-        format!(
-            "cannot serve Foxglove on {address}: {error}; --listen chooses another address, such \
-             as `--listen 8766`"
-        )
+        format!("cannot serve Foxglove on {address} (--listen chooses another address): {error}")
     };
     let context = Context::new();
     // Nodes that publish on the same topic share a channel, as in ROS.
