@@ -47,7 +47,7 @@ pub(super) fn parameters(body: &Body) -> Vec<Vec<u8>> {
         return lines;
     }
     let geometry = body.geometry(true);
-    let mut lines = vec![
+    let lines = [
         model(body.model).to_owned(),
         format!("DMIN:{}", geometry.nearest),
         format!("DMAX:{}", geometry.farthest),
@@ -57,10 +57,7 @@ pub(super) fn parameters(body: &Body) -> Vec<Vec<u8>> {
         format!("AFRT:{}", geometry.front),
         format!("SCAN:{}", rpm(body.model)),
     ];
-    if body.model == Model::Ust10lx {
-        lines.insert(3, "PROT:SCIP 2.2".to_owned());
-    }
-    lines.into_iter().map(String::into_bytes).collect()
+    lines.map(String::into_bytes).into()
 }
 
 /// Lines of the reply to `II`. The time is in milliseconds, and in characters.

@@ -72,8 +72,9 @@ async fn a_ust_says_what_it_is() {
         ),
         (
             "PP",
-            "MODL:UST-10LX;D\nDMIN:20;4\nDMAX:30000;G\nPROT:SCIP 2.2;P\nARES:1440;^\nAMIN:0;?\n\
-             AMAX:1080;Z\nAFRT:540;0\nSCAN:2400;U",
+            // Hokuyo's UrgBenri takes only eight lines.
+            "MODL:UST-10LX;D\nDMIN:20;4\nDMAX:30000;G\nARES:1440;^\nAMIN:0;?\nAMAX:1080;Z\n\
+             AFRT:540;0\nSCAN:2400;U",
         ),
     ] {
         assert_eq!(ask(&mut link, command).await, format!("{command}\n00P\n{reply}\n\n"));
