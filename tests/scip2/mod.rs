@@ -5,6 +5,7 @@ mod histories;
 mod intensities;
 mod reboot;
 mod refusals;
+mod serial;
 mod streams;
 mod times;
 

@@ -11,7 +11,7 @@ use super::{next, numbered, revolution};
 use crate::common::builder;
 
 /// How much later a scan says that its first ray was than the emulator does, in milliseconds.
-fn lateness(emulator: &Emulator, scan: &Scan) -> f64 {
+pub(super) fn lateness(emulator: &Emulator, scan: &Scan) -> f64 {
     let number = revolution(scan);
     let sent = emulator.sent_scans();
     let sent = sent.iter().rfind(|sent| sent.time.revolution as u32 == number).unwrap();

@@ -199,8 +199,14 @@ impl Transport {
     pub(crate) fn expect_unasked(&mut self, limits: &'static Limits, within: Duration) {
         self.requested = Instant::now();
         self.expect(&Expected { reply: None, limits }, self.requested + within);
-        self.times = None;
-        if self.input.iter().any(|byte| *byte != 0) {
+        self.keep_times();
+    }
+
+    /// Keeps the times of a frame that has begun before it was expected.
+    fn keep_times(&mut self) {
+        if self.input.iter().all(|byte| *byte == 0) {
+            self.times = None;
+        } else if self.times.is_none() {
             // Its first bytes came with the last ones of the frame before.
             self.begin_reply();
         }
@@ -249,7 +255,8 @@ impl Transport {
         }
         self.frames += 1;
         self.pauses.begin_reply();
-        (self.times, self.paused_until) = (None, None);
+        self.paused_until = None;
+        self.keep_times();
         Ok(())
     }
 
@@ -258,6 +265,7 @@ impl Transport {
             Some(times) => times,
             None => self.begin_reply(),
         };
+        self.times = None;
         let received = Instant::now();
         times.received = received;
         self.latest_at = Some(received);

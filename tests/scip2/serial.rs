@@ -1,0 +1,58 @@
+//! A URG-04LX in SCIP 2 on RS-232, where a reply takes much longer than a command.
+
+use tokio::time::sleep;
+use tokio_scip::protocol::Protocol;
+use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, Window};
+use urg_emulator::{Emulator, Firmware, Model};
+
+use super::times::lateness;
+use super::{next, numbered};
+use crate::common::random::{Random, seeds};
+use crate::common::{builder, ms};
+
+/// Opens a sensor in SCIP 2 at this baud rate.
+async fn open(baud_rate: BaudRate) -> (Emulator, Sensor) {
+    let emulator = numbered(Model::Urg04lx).firmware(Firmware::V31).baud_rate(baud_rate).build();
+    let asking = builder().depth(64).protocol(Protocol::Scip2);
+    let sensor = asking.connect(emulator.clone()).await.unwrap();
+    (emulator, sensor)
+}
+
+/// Makes a request that ends a stream, or starts it anew.
+async fn disturb(sensor: Sensor, number: u64) -> Result<(), Error> {
+    match number {
+        0 => sensor.laser_on().await,
+        1 => sensor.laser_off().await,
+        2 => sensor.sensor_state().await.map(drop),
+        3 => sensor.set_baud_rate(BaudRate::B57600).await,
+        4 => sensor.scan(Window::DETECTION).await.map(drop),
+        _ => {
+            let mut other = sensor.scans(Window::new(100..=200).unwrap(), Rate::hz(5.0)).await?;
+            other.next().await.map_or(Ok(()), |scan| scan.map(drop))
+        }
+    }
+}
+
+/// Of a scan that is on its way when a command is sent.
+#[tokio::test(start_paused = true)]
+async fn a_command_does_not_change_when_a_scan_began() {
+    for seed in seeds("SCIP_SERIAL", 100) {
+        let mut random = Random::new(seed);
+        let baud_rate = *random.pick(&BaudRate::ALL[..4]);
+        let (emulator, sensor) = open(baud_rate).await;
+        let window = Window::new(300..=560).unwrap();
+        let mut stream = sensor.scans(window, Rate::hz(1.0)).await.unwrap();
+        let mut before: Scan = next(&mut stream).await;
+        for _ in 0..3 {
+            sleep(ms(800) + random.ms(600)).await;
+            let _ = disturb(sensor.clone(), random.below(6)).await;
+            sensor.laser_on().await.unwrap();
+            let scan = next(&mut stream).await;
+            let late = lateness(&emulator, &scan);
+            // The first byte takes half a millisecond, and a timer one.
+            assert!(late.abs() < 2.0, "seed {seed}, {baud_rate}: {late} ms");
+            assert!(scan.times().requested_at >= before.received_at(), "seed {seed}: {scan:?}");
+            before = scan;
+        }
+    }
+}
