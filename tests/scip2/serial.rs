@@ -1,14 +1,14 @@
 //! A URG-04LX in SCIP 2 on RS-232, where a reply takes much longer than a command.
 
-use tokio::time::sleep;
+use tokio::time::{Instant, sleep};
 use tokio_scip::protocol::Protocol;
 use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, Window};
-use urg_emulator::{Emulator, Firmware, Model};
+use urg_emulator::{Emulator, Fault, Faults, Firmware, Model};
 
 use super::times::lateness;
 use super::{next, numbered};
 use crate::common::random::{Random, seeds};
-use crate::common::{builder, ms};
+use crate::common::{builder, ms, wire_time};
 
 /// Opens a sensor in SCIP 2 at this baud rate.
 async fn open(baud_rate: BaudRate) -> (Emulator, Sensor) {
@@ -54,5 +54,30 @@ async fn a_command_does_not_change_when_a_scan_began() {
             assert!(scan.times().requested_at >= before.received_at(), "seed {seed}: {scan:?}");
             before = scan;
         }
+    }
+}
+
+/// A sensor that falls silent between two commands of a request.
+#[tokio::test(start_paused = true)]
+async fn a17_closing_within_a_request_takes_two_commands() {
+    for seed in seeds("SCIP_SERIAL", 300) {
+        let mut random = Random::new(seed);
+        let baud_rate = BaudRate::B750000;
+        let (emulator, sensor) = open(baud_rate).await;
+        let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+        next(&mut stream).await;
+        let _stream = (!random.once_in(3)).then_some(stream);
+        sleep(ms(200)).await;
+        let number = random.below(6);
+        tokio::spawn(disturb(sensor.clone(), number));
+        sleep(random.ms(500)).await;
+        emulator.set_faults(Faults::none().every(Fault::CommandLost));
+        sleep(random.ms(1000)).await;
+        let start = Instant::now();
+        sensor.close().await;
+        // A text, and two scans that may be on the way before.
+        let wire = 2 * wire_time(baud_rate, 600 + 2 * 2200);
+        let took = start.elapsed();
+        assert!(took <= ms(1505) + wire, "seed {seed}, {number}: {took:?}");
     }
 }

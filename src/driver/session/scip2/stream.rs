@@ -103,6 +103,12 @@ impl Scip2<'_> {
     pub(crate) async fn end_stream(&mut self) -> Result<(), ExchangeError> {
         self.stop().await?;
         match self.ask(Command::LaserOn).await {
+            // There is no time for another command.
+            Err(ExchangeError::Command(error @ ErrorKind::Timeout { .. }))
+                if self.line.shared.is_closing() =>
+            {
+                Err(LinkError::Silent(error).into())
+            }
             // The next request shows whether the laser is on.
             Ok(_) | Err(ExchangeError::Command(_)) => Ok(()),
             Err(lost) => Err(lost),
