@@ -371,6 +371,23 @@ async fn lost_scans_are_counted() {
     }
 }
 
+/// Between two scans of a slow stream the sensor has left out some, which no stream had asked for.
+#[tokio::test(start_paused = true)]
+async fn a_faster_stream_loses_no_scan_that_was_left_out() {
+    for (model, hz) in [(Model::Urg04lxUg01, 10.0), (Model::Ust10lx, 40.0)] {
+        for pause in (0..1000).step_by(90).map(Duration::from_millis) {
+            let emulator = numbered(model).build();
+            let sensor = builder().depth(512).connect(emulator).await.unwrap();
+            let mut slow = sensor.scans(Window::DETECTION, Rate::hz(hz / 10.0)).await.unwrap();
+            revolutions(&mut slow, 25).await;
+            sleep(pause).await;
+            let mut fast = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+            assert!(are_consecutive(&revolutions(&mut fast, 20).await));
+            assert_eq!(sensor.stats().lost, 0, "{model:?} after {pause:?}");
+        }
+    }
+}
+
 /// Scan of clusters, and the same from a sensor that sends nothing on its own.
 async fn clustered(model: Model, is_streaming: bool) -> Scan {
     let emulator = Emulator::builder().model(model).world(|_: WorldTime, values: &mut Values| {

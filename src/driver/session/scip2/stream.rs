@@ -77,7 +77,9 @@ impl Scip2<'_> {
             window = running.window.hull(&window);
         }
         if self.state.may_stream() {
-            let latest = self.state.latest;
+            // Of the scans that the sensor has left out, none is lost.
+            let is_as_dense = |running: Running| running.skipped == skipped;
+            let latest = self.state.latest.filter(|_| self.state.running.is_none_or(is_as_dense));
             self.stop().await?;
             self.state.latest = latest;
         }
