@@ -134,9 +134,17 @@ impl Schedules {
 
     /// Takes a poll of each schedule that gets a scan of the stream, which came at `now` or would have
     /// come then without a delay. The scans come `period` apart. Grid points without a scan do not
-    /// count as skipped: the sensor sends when its motor has turned.
-    pub(crate) fn take_streamed(&mut self, now: Instant, period: Duration) -> Vec<DuePoll> {
-        let streamed = self.all.iter_mut().filter(|schedule| schedule.is_streamed);
+    /// count as skipped: the sensor sends when its motor has turned. A scan that shows only part of a
+    /// window was sent before the stream had it.
+    pub(crate) fn take_streamed(
+        &mut self,
+        now: Instant,
+        period: Duration,
+        shown: Option<Window>,
+    ) -> Vec<DuePoll> {
+        let is_shown = |window: &Window| shown.is_none_or(|shown| shown.holds(window));
+        let all = self.all.iter_mut();
+        let streamed = all.filter(|one| one.is_streamed && is_shown(&one.stats.window));
         let taken = streamed.filter_map(|schedule| {
             // A scan that is a little early is for the point that follows.
             let is_due = schedule.due <= now + period / 2;
@@ -365,7 +373,7 @@ mod tests {
         schedules.begin_stream(PERIOD);
         let turn = Duration::from_micros(99_760);
         for n in 0..10_000 {
-            assert!(!schedules.take_streamed(start + turn * n, PERIOD).is_empty());
+            assert!(!schedules.take_streamed(start + turn * n, PERIOD, None).is_empty());
         }
         schedules.end_stream();
         let ahead = schedules.next_due().unwrap() - (start + turn * 9_999);

@@ -81,3 +81,30 @@ async fn a17_closing_within_a_request_takes_two_commands() {
         assert!(took <= ms(1505) + wire, "seed {seed}, {number}: {took:?}");
     }
 }
+
+/// A scan that was on its way when the stream was widened lacks the window, and is none of its scans.
+#[tokio::test(start_paused = true)]
+async fn a_stream_that_widens_another_begins_at_once() {
+    let cases =
+        BaudRate::ALL[2..].iter().flat_map(|rate| (0..100).step_by(9).map(|ms| (*rate, ms)));
+    for (baud_rate, pause) in cases {
+        let (_emulator, sensor) = open(baud_rate).await;
+        let narrow = Window::new(300..=450).unwrap();
+        let mut front = sensor.scans(narrow, Rate::UNLIMITED).await.unwrap();
+        next(&mut front).await;
+        sleep(ms(2000 + pause)).await;
+        let (start, before) = (Instant::now(), sensor.stats());
+        let wide = Window::new(280..=450).unwrap();
+        let mut all = sensor.scans(wide, Rate::hz(1.0)).await.unwrap();
+        next(&mut all).await;
+        // A second later is the next point of its grid.
+        let took = start.elapsed();
+        assert!(took < ms(600), "{baud_rate}, {pause} ms: {took:?}");
+        let stats = sensor.stats();
+        assert_eq!(
+            stats.polls - before.polls,
+            stats.scans - before.scans,
+            "{baud_rate}, {pause} ms"
+        );
+    }
+}

@@ -10,7 +10,7 @@ use super::super::motor_clock::Revolution;
 use super::super::schedule::DuePoll;
 use super::super::session::Session;
 use super::{Service, Stop, command_error, ignore_command_errors};
-use crate::ErrorKind;
+use crate::{ErrorKind, Window};
 
 impl Service<'_> {
     /// Starts a stream for the schedules that are not too slow for it, if the line is not.
@@ -37,18 +37,18 @@ impl Service<'_> {
         Ok(())
     }
 
-    /// Takes the polls that are due for a scan, which arrived this late.
-    fn take_streamed(&mut self, lateness: Duration) -> Vec<DuePoll> {
+    /// Takes the polls that are due for a scan of this window, or for an error, which arrived this late.
+    fn take_streamed(&mut self, lateness: Duration, shown: Option<Window>) -> Vec<DuePoll> {
         let turns = u32::from(self.streamed.unwrap_or(0)) + 1;
         let now = Instant::now();
         let due = now.checked_sub(lateness).unwrap_or(now);
-        self.schedules.take_streamed(due, self.scan_time * turns)
+        self.schedules.take_streamed(due, self.scan_time * turns, shown)
     }
 
     /// Ends the polls of the stream that are due now with an error.
     fn fail_streamed(&mut self, error: &ErrorKind) -> Result<(), Stop> {
         self.shared.counters.fail(self.shared.link.error(error.clone()));
-        for poll in self.take_streamed(Duration::ZERO) {
+        for poll in self.take_streamed(Duration::ZERO, None) {
             self.shared.counters.count_poll();
             self.fail(poll, ExchangeError::Command(error.clone()), Instant::now())?;
         }
@@ -101,9 +101,9 @@ impl Service<'_> {
             let is_other = |it: &Duration| it.abs_diff(self.scan_time) > self.scan_time / 50;
             self.scan_time = period.filter(is_other).unwrap_or(self.scan_time);
             // After a pause of the host several arrive at once, and each belongs to its own poll.
-            for poll in self.take_streamed(lateness.unwrap_or_default()) {
+            let shown = Some(streamed.window());
+            for poll in self.take_streamed(lateness.unwrap_or_default(), shown) {
                 self.shared.counters.count_poll();
-                // It may have been sent before the stream had this window.
                 if let Some(acquired) = streamed.cut(poll.window, &self.geometry) {
                     self.deliver(poll, acquired, session.believed_baud_rate());
                 }

@@ -354,6 +354,11 @@ impl Streamed {
         self.acquired.told.as_ref().map(|told| told.revolution).unwrap_or_default()
     }
 
+    /// Window of all points that the sensor sent.
+    pub(crate) fn window(&self) -> Window {
+        self.window
+    }
+
     /// Part of the scan in `window`, if it holds that.
     pub(crate) fn cut(&self, window: Window, geometry: &Geometry) -> Option<Acquired> {
         if !self.window.holds(&window) {
