@@ -1,8 +1,5 @@
 //! [`Window`]: the steps to ask for: all, those in an interval of degrees, or steps by number.
 
-#[cfg(test)]
-mod tests;
-
 use std::fmt;
 use std::hash::{Hash, Hasher};
 use std::ops::RangeInclusive;

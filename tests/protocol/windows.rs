@@ -107,3 +107,47 @@ fn window_errors_name_what_is_valid() {
         "steps 0..=768 in clusters of 3"
     );
 }
+
+/// First and last step of every point.
+fn points(window: Window) -> Vec<(u16, u16)> {
+    let (end, cluster) = (window.end(), u16::from(window.cluster_count()));
+    (window.start()..=end)
+        .step_by(usize::from(cluster))
+        .map(|first| (first, end.min(first + cluster - 1)))
+        .collect()
+}
+
+/// The driver adds up to three points to a poll. The other points stay the same.
+#[test]
+fn a_window_is_polled_with_its_points_and_up_to_three_more() {
+    let mut polled = [0; 4];
+    for start in 0..=768_u16 {
+        for end in [start, start + 1, start + 7, start + 41, 725, 764, 767, 768] {
+            if end < start || end > 768 {
+                continue;
+            }
+            for cluster_count in [1, 2, 4, 5, 99] {
+                let new = |steps| Window::new(steps).unwrap().with_cluster_count(cluster_count);
+                let window = new(start..=end).unwrap();
+                for added in 0..=4 {
+                    let steps = added * u16::from(cluster_count);
+                    let before = start.checked_sub(steps).map(|first| new(first..=end).unwrap());
+                    let behind = new(start..=end + steps).unwrap();
+                    let of_window = points(window);
+                    let both = before.into_iter().chain([behind]);
+                    for asked in both.filter(|asked| window.is_polled_as(*asked)) {
+                        polled[usize::from(added)] += 1;
+                        let all = points(asked);
+                        assert_eq!(all.len(), of_window.len() + usize::from(added), "{asked}");
+                        assert!(
+                            all.starts_with(&of_window) || all.ends_with(&of_window),
+                            "{asked}"
+                        );
+                        assert!(asked.end() <= 768, "{asked}");
+                    }
+                }
+            }
+        }
+    }
+    assert!(polled.iter().all(|count| *count > 1000), "{polled:?}");
+}

@@ -106,9 +106,7 @@ impl Scip2<'_> {
         self.stop().await?;
         match self.ask(Command::LaserOn).await {
             // There is no time for another command.
-            Err(ExchangeError::Command(error @ ErrorKind::Timeout { .. }))
-                if self.line.shared.is_closing() =>
-            {
+            Err(ExchangeError::Command(error)) if self.line.shared.is_closing() => {
                 Err(LinkError::Silent(error).into())
             }
             // The next request shows whether the laser is on.
