@@ -1,14 +1,21 @@
 //! A URG-04LX in SCIP 2 on RS-232, where a reply takes much longer than a command.
 
+use std::io;
+use std::task::{Context, Poll, Waker};
+
+use tokio::io::ReadBuf;
 use tokio::time::{Instant, sleep};
 use tokio_scip::protocol::Protocol;
 use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, Window};
 use urg_emulator::{Emulator, Fault, Faults, Firmware, Model};
 
+use super::refusals::{PARAMETERS, VERSION};
 use super::times::lateness;
 use super::{next, numbered};
+use crate::common::limit::limit;
 use crate::common::random::{Random, seeds};
-use crate::common::{builder, ms, wire_time};
+use crate::common::test_port::{FarEnd, TestPort};
+use crate::common::{ConnectFn, builder, ms, wire_time};
 
 /// Opens a sensor in SCIP 2 at this baud rate.
 async fn open(baud_rate: BaudRate) -> (Emulator, Sensor) {
@@ -106,5 +113,74 @@ async fn a_stream_that_widens_another_begins_at_once() {
             stats.scans - before.scans,
             "{baud_rate}, {pause} ms"
         );
+    }
+}
+
+/// Sensor of SCIP 2 at 57,600 baud. The adapter has kept the scan of a stream, which the first reads
+/// return, whatever its baud rate is.
+#[derive(Debug)]
+struct Kept {
+    baud_rate: BaudRate,
+    kept: usize,
+    input: Vec<u8>,
+    reader: Option<Waker>,
+}
+
+impl FarEnd for Kept {
+    fn read(&mut self, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        if self.input.is_empty() {
+            self.reader = Some(cx.waker().clone());
+            return Poll::Pending;
+        }
+        let count = self.input.len().min(buffer.remaining());
+        buffer.put_slice(&self.input.drain(..count).collect::<Vec<_>>());
+        Poll::Ready(Ok(()))
+    }
+
+    fn write(&mut self, _: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        let reply = match bytes {
+            _ if self.baud_rate != BaudRate::B57600 && self.kept > 0 => {
+                self.kept -= 1;
+                "MD0044072501000\n99b\n\n".to_owned()
+            }
+            _ if self.baud_rate != BaudRate::B57600 => String::new(),
+            command => {
+                let command = str::from_utf8(command).unwrap().trim();
+                let answer = match command.get(..2) {
+                    Some("VV") => VERSION,
+                    Some("PP") => PARAMETERS,
+                    Some("QT") => "00P",
+                    _ => "0Ee",
+                };
+                format!("{command}\n{answer}\n\n")
+            }
+        };
+        self.input.extend(reply.into_bytes());
+        if let Some(reader) = self.reader.take() {
+            reader.wake();
+        }
+        Poll::Ready(Ok(bytes.len()))
+    }
+
+    fn baud_rate(&self) -> Option<BaudRate> {
+        Some(self.baud_rate)
+    }
+
+    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+        self.baud_rate = baud_rate;
+        Ok(())
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_rest_of_a_stream_does_not_end_a_search() {
+    limit();
+    for kept in 0..3 {
+        let port = move || {
+            let (baud_rate, input) = (BaudRate::B19200, Vec::new());
+            Ok(TestPort(Kept { baud_rate, kept, input, reader: None }))
+        };
+        let sensor = builder().connect(ConnectFn(port)).await.unwrap();
+        assert_eq!(sensor.watch_state().get().baud_rate(), Some(BaudRate::B57600), "{kept}");
     }
 }

@@ -61,7 +61,15 @@ impl Session {
                         malformed = Some(error);
                     }
                     Err(ExchangeError::Command(error @ ErrorKind::WrongProtocol { .. })) => {
-                        return self.begin_in_scip2(error).await;
+                        match self.begin_in_scip2(error).await {
+                            // The rest of a stream, which the port has kept, was taken for an answer.
+                            Err(ExchangeError::Link(LinkError::Silent(
+                                error @ (ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. }),
+                            ))) if self.is_searchable() => {
+                                (malformed, self.scip2) = (Some(error), None);
+                            }
+                            outcome => return outcome,
+                        }
                     }
                     // Something other than a sensor answers.
                     Err(ExchangeError::Command(error)) => {
