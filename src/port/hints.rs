@@ -32,7 +32,7 @@ pub trait PortHints {
     /// ([`SensorBuilder::idle_probe`](crate::SensorBuilder::idle_probe)). Default: `false`.
     ///
     /// If you wrongly return `false`, a lost link looks connected until the next request. If you
-    /// wrongly return `true`, probes cost 26 bytes every 5 s.
+    /// wrongly return `true`, probes cost 26 bytes every 5 s, in SCIP 2 60.
     fn can_die_silently(&mut self) -> bool {
         false
     }

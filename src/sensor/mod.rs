@@ -151,7 +151,7 @@ impl Sensor {
     }
 
     /// Changes the baud rate of sensor and port (`S`, p. 5; `SS` in SCIP 2), and confirms that the
-    /// sensor answers at the new one. Takes about half a second. The driver restores the baud rate
+    /// sensor answers at the new one. Takes up to a second. The driver restores the baud rate
     /// whenever it finds the sensor. A sensor on USB accepts it without effect.
     ///
     /// Without a link the driver remembers the baud rate, even if the call fails, and changes to it

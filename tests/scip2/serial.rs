@@ -7,7 +7,7 @@ use tokio::io::ReadBuf;
 use tokio::time::{Instant, sleep};
 use tokio_scip::protocol::Protocol;
 use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, Window};
-use urg_emulator::{Emulator, Fault, Faults, Firmware, Model};
+use urg_emulator::{Emulator, Fault, Faults, Firmware, Fixed, Model};
 
 use super::refusals::{PARAMETERS, VERSION};
 use super::times::lateness;
@@ -182,5 +182,25 @@ async fn the_rest_of_a_stream_does_not_end_a_search() {
         };
         let sensor = builder().connect(ConnectFn(port)).await.unwrap();
         assert_eq!(sensor.watch_state().get().baud_rate(), Some(BaudRate::B57600), "{kept}");
+    }
+}
+
+/// A covered sensor sends the same value for each step. Read at another baud rate, its scans are many
+/// empty replies.
+#[tokio::test(start_paused = true)]
+async fn a_stream_at_another_baud_rate_does_not_end_a_search() {
+    limit();
+    for phase in 0..20 {
+        let sensor = Emulator::builder().firmware(Firmware::V31).baud_rate(BaudRate::B750000);
+        let emulator = sensor.world(Fixed::filled(17)).build();
+        let asking = builder().protocol(Protocol::Scip2);
+        let (sensor, driver) = asking.build(emulator.clone());
+        let driver = tokio::spawn(driver);
+        let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+        next(&mut stream).await;
+        driver.abort();
+        sleep(ms(5 * phase)).await;
+        let sensor = builder().connect(emulator).await.unwrap();
+        assert_eq!(sensor.watch_state().get().baud_rate(), Some(BaudRate::B750000), "{phase}");
     }
 }

@@ -75,6 +75,12 @@ impl Session {
                     Err(ExchangeError::Command(error)) => {
                         return Err(LinkError::Silent(error).into());
                     }
+                    // A stream that is read at another baud rate may be many LFs.
+                    Err(ExchangeError::Link(LinkError::Lost(error)))
+                        if self.is_searchable() && is_flood(&error) =>
+                    {
+                        malformed = Some(error);
+                    }
                     Err(lost) => return Err(lost),
                 }
                 if Instant::now() >= deadline {
@@ -159,6 +165,16 @@ impl Session {
 
 fn is_not_raw(error: &ErrorKind) -> bool {
     matches!(error, ErrorKind::Malformed { source: MalformedError::NotRaw, .. })
+}
+
+fn is_flood(error: &ErrorKind) -> bool {
+    match error {
+        ErrorKind::Disconnected { source: Some(source) }
+        | ErrorKind::Rejected { source: Some(source), .. } => {
+            source.kind() == io::ErrorKind::InvalidData
+        }
+        _ => false,
+    }
 }
 
 fn lost(error: io::Error) -> ExchangeError {
