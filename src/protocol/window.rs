@@ -137,8 +137,8 @@ impl Window {
     ///
     /// # Errors
     ///
-    /// [`WindowError`] if the interval contains no step of a URG-04LX, if a finite bound is outside of
-    /// -135..=135, or if a bound is not a number.
+    /// [`WindowError`] if the interval has no infinite bound and contains no step of a URG-04LX, if a
+    /// finite bound is outside of -135..=135, or if a bound is not a number.
     pub fn degrees(interval: RangeInclusive<f64>) -> Result<Self, WindowError> {
         let (from, to) = interval.into_inner();
         let error = WindowError::Degrees { from, to };
@@ -151,7 +151,9 @@ impl Window {
         if from.is_finite() && low < -FARTHEST || to.is_finite() && high > FARTHEST {
             return Err(error);
         }
-        window.resolve(&Geometry::URG_04LX).map_err(|_| error)
+        let is_open =
+            from == f64::NEG_INFINITY && to >= -135.0 || to == f64::INFINITY && from <= 135.0;
+        window.resolve(&Geometry::URG_04LX).or(if is_open { Ok(window) } else { Err(error) })
     }
 
     /// Returns this window with the steps of a sensor.

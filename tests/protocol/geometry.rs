@@ -382,3 +382,25 @@ proptest! {
         prop_assert_eq!([found.start(), found.end()], expected);
     }
 }
+
+#[test]
+fn an_infinite_bound_reaches_the_last_step_of_any_model() {
+    let ust = ust();
+    for (interval, urg, wide) in [
+        (125.0..=f64::INFINITY, None, Some(1040..=1080)),
+        (f64::NEG_INFINITY..=-125.0, None, Some(0..=40)),
+        (100.0..=f64::INFINITY, Some(669..=725), Some(940..=1080)),
+        (136.0..=f64::INFINITY, None, None),
+        (f64::NEG_INFINITY..=-136.0, None, None),
+        (f64::INFINITY..=f64::INFINITY, None, None),
+        (f64::INFINITY..=0.0, None, None),
+    ] {
+        let window = Window::degrees(interval.clone());
+        let steps = |geometry: &Geometry| {
+            let window = window.as_ref().ok()?.resolve(geometry).ok()?;
+            Some(window.start()..=window.end())
+        };
+        assert_eq!(steps(&Geometry::URG_04LX), urg, "{interval:?}");
+        assert_eq!(steps(&ust), wide, "{interval:?}");
+    }
+}

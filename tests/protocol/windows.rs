@@ -84,9 +84,7 @@ fn degrees_without_a_step_or_outside_the_revolution_are_refused() {
         (-1e300, 1e300),
         (f64::INFINITY, f64::INFINITY),
         (f64::NEG_INFINITY, f64::NEG_INFINITY),
-        (f64::NEG_INFINITY, -130.0),
         (f64::NEG_INFINITY, 135.1),
-        (130.0, f64::INFINITY),
     ] {
         assert_eq!(Window::degrees(from..=to), Err(WindowError::Degrees { from, to }));
     }
