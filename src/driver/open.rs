@@ -163,6 +163,10 @@ impl Opener {
             match self.identify(session).await {
                 // It answered a moment ago: no back-off is needed.
                 Err(failure) if !was_found && failure.is_lost_reply() => was_found = true,
+                // It may refuse while it boots.
+                Err(ExchangeError::Command(ErrorKind::Refused { .. })) if Instant::now() < end => {
+                    sleep(CANDIDATE_TIME).await;
+                }
                 outcome => break outcome?,
             }
         };

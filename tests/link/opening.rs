@@ -12,7 +12,7 @@ use std::time::Duration;
 use crate::common::faulty_link::FaultyLink;
 use crate::common::hooked::{Hooked, Hooks};
 use crate::common::{ConnectFn, builder, ms, truthful};
-use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
 use tokio::time::Instant;
 use tokio_scip::port::{Connect, StreamPort};
 use tokio_scip::protocol::Protocol;
@@ -520,4 +520,26 @@ async fn half_a_command_of_another_program_delays_no_opening() {
             assert!(emulator.is_laser_on());
         }
     }
+}
+
+/// A booting sensor refuses `V` in the form of SCIP 1.1, as Hokuyo's UrgBenri tells its users.
+#[tokio::test(start_paused = true)]
+async fn t10_a_sensor_that_refuses_to_tell_what_it_is_while_it_boots_is_found() {
+    let booted = Instant::now() + ms(2000);
+    let (near, far) = duplex(4096);
+    tokio::spawn(async move {
+        let (read, mut write) = tokio::io::split(far);
+        let mut commands = tokio::io::BufReader::new(read).lines();
+        while let Ok(Some(command)) = commands.next_line().await {
+            let reply = match &command[..] {
+                "" => continue,
+                "V" if Instant::now() >= booted => "0\nSERI:H0713090",
+                _ => "E",
+            };
+            write.write_all(format!("{command}\n{reply}\n\n").as_bytes()).await.unwrap();
+        }
+    });
+    let sensor = builder().attach(near).await.unwrap();
+    assert!(Instant::now() >= booted && Instant::now() < booted + ms(500));
+    assert_eq!(sensor.version().await.unwrap().serial_number.as_bytes(), b"H0713090");
 }

@@ -168,13 +168,10 @@ fn is_not_raw(error: &ErrorKind) -> bool {
 }
 
 fn is_flood(error: &ErrorKind) -> bool {
-    match error {
-        ErrorKind::Disconnected { source: Some(source) }
-        | ErrorKind::Rejected { source: Some(source), .. } => {
-            source.kind() == io::ErrorKind::InvalidData
-        }
-        _ => false,
-    }
+    let (ErrorKind::Disconnected { source } | ErrorKind::Rejected { source, .. }) = error else {
+        return false;
+    };
+    source.as_ref().is_some_and(|source| source.kind() == io::ErrorKind::InvalidData)
 }
 
 fn lost(error: io::Error) -> ExchangeError {
