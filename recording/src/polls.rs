@@ -130,6 +130,7 @@ pub(super) struct StreamPolls {
     /// with its first poll. Without a description, from the first polls.
     streams: VecDeque<Stream>,
     is_described: bool,
+    first_described_version: Option<Vec<Vec<u8>>>,
     /// Sensor of the replies in SCIP 2, by the latest description or reply to `PP`.
     told: Option<Model>,
     pub(super) frame_ids: BTreeSet<String>,
@@ -346,8 +347,7 @@ impl Polls {
         let revolution = version.as_ref().and_then(revolution);
         let left_out = recording.left_out.clone();
         let stream = StreamPolls { left_out, ..StreamPolls::default() };
-        let (version, failed_polls, serial_numbers) = (None, 0, BTreeSet::new());
-        let is_over = false;
+        let (version, failed_polls, serial_numbers, is_over) = (None, 0, BTreeSet::new(), false);
         Self { recording, stream, version, revolution, failed_polls, serial_numbers, is_over }
     }
 
@@ -359,11 +359,15 @@ impl Polls {
 
     /// Lines of the reply to `V`: the first one that was read, or else what the metadata have of it.
     pub(super) fn version_lines(&self) -> Vec<Vec<u8>> {
-        let lines = self.version.as_ref().and_then(RecordedReply::version_lines);
-        lines.unwrap_or_else(|| version_lines(self.recording.metadata()))
+        let replied = self.version.as_ref().and_then(RecordedReply::version_lines);
+        let known = replied.or_else(|| self.stream.first_described_version.clone());
+        known.unwrap_or_else(|| version_lines(self.recording.metadata()))
     }
 
     fn add(&mut self, record: Record) {
+        let described = Some(self.recording.metadata()).filter(|metadata| !metadata.is_empty());
+        let version = &mut self.stream.first_described_version;
+        *version = version.take().or_else(|| described.map(version_lines));
         self.failed_polls += u64::from(matches!(record.entry, Entry::Event(Event::Error { .. })));
         if let Entry::Reply(reply) = &record.entry
             && reply.kind() == ReplyKind::Version
