@@ -6,8 +6,8 @@ use super::scip2::{Command, Data, Label, Request};
 use super::{BaudRate, Protocol, Window};
 
 impl Window {
-    /// Time that one poll of this window occupies a line at this baud rate: command and reply, but not
-    /// the time that the sensor takes to answer.
+    /// Time that one poll of this window occupies a line at this baud rate: command and reply, without
+    /// intensities, but not the time that the sensor takes to answer.
     pub fn wire_time(&self, baud_rate: BaudRate, protocol: Protocol) -> Duration {
         let bytes = match protocol {
             Protocol::Scip1 => self.exchange_len(),
