@@ -79,5 +79,6 @@ impl Transport {
     pub(super) fn clear_input(&mut self) {
         self.input.clear();
         self.codec.reset();
+        self.times = None;
     }
 }

@@ -199,11 +199,6 @@ impl Transport {
     pub(crate) fn expect_unasked(&mut self, limits: &'static Limits, within: Duration) {
         self.requested = Instant::now();
         self.expect(&Expected { reply: None, limits }, self.requested + within);
-        self.keep_times();
-    }
-
-    /// Keeps the times of a frame that has begun before it was expected.
-    fn keep_times(&mut self) {
         if self.input.iter().all(|byte| *byte == 0) {
             self.times = None;
         } else if self.times.is_none() {
@@ -256,7 +251,6 @@ impl Transport {
         self.frames += 1;
         self.pauses.begin_reply();
         self.paused_until = None;
-        self.keep_times();
         Ok(())
     }
 
