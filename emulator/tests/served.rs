@@ -220,7 +220,8 @@ mod terminal {
         client.set_baud_rate(57_600).unwrap();
         let mut reply = [0; 64];
         client.read_exact(&mut reply).await.unwrap();
-        assert!(!reply.starts_with(b"V\n0\n"), "{}", reply.escape_ascii());
+        // On a busy host the baud rate may change when it has begun.
+        assert!(!reply.is_ascii(), "{}", reply.escape_ascii());
     }
 
     #[tokio::test]
