@@ -270,8 +270,8 @@ impl Sensor {
     ///
     /// If the sensor does not answer, this waits for the deadlines of the current command and of
     /// one more: 1.5 s and their time on the wire, unless you set
-    /// [`reply_latency`](SensorBuilder::reply_latency). A pending [`reboot`](Self::reboot), or a pending
-    /// scan of a slow stream, may add a second.
+    /// [`reply_latency`](SensorBuilder::reply_latency). A pending [`reboot`](Self::reboot) may add a
+    /// second, a pending scan of a stream the time from scan to scan.
     pub async fn close(&self) {
         let _closing = self.client.shared.announce_closing();
         // Any outcome means that the driver has ended.
