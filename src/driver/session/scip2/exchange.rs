@@ -103,10 +103,8 @@ impl Scip2<'_> {
             let Some((all, (bytes, times))) = own else {
                 let (observers, shared) = (&self.line.observers, &self.line.shared);
                 self.state.take_unasked(&received, baud_rate, observers, shared);
-                if let Frame::Reply(frame) = received.frame()
-                    && let Err(error @ ReplyError::Malformed(_)) = Reply::parse(request, frame)
-                {
-                    unlabelled = Some(error);
+                if let Frame::Reply(frame) = received.frame() {
+                    unlabelled = without_label(request, frame).or(unlabelled);
                 }
                 continue;
             };
@@ -159,6 +157,11 @@ impl Scip2<'_> {
 /// another command.
 pub(super) fn is_like_a_stream(frame: &[u8]) -> bool {
     matches!(frame.first(), Some(b'M' | b'N'))
+}
+
+/// Error of a frame that answers a request, but does not repeat its label.
+pub(super) fn without_label(request: &Request, frame: &[u8]) -> Option<ReplyError> {
+    Reply::parse(request, frame).err().filter(|error| matches!(error, ReplyError::Malformed(_)))
 }
 
 pub(super) fn raw_reply<'a>(

@@ -17,7 +17,7 @@ use super::super::super::schedule::StreamWish;
 use super::super::super::transport::{ReceivedFrame, ReplyTimes};
 use super::super::errors::{record_malformed, record_silence};
 use super::super::{Acquired, Streamed};
-use super::exchange::{accepted, find_own, is_like_a_stream, raw_reply, refusal};
+use super::exchange::{accepted, find_own, is_like_a_stream, raw_reply, refusal, without_label};
 use super::{LIMITS, Scip2, State, acquired};
 use crate::codec::Frame;
 use crate::protocol::ReplyError;
@@ -246,10 +246,8 @@ impl State {
         let running = self.running?;
         let request = running.request;
         let Some((own, times)) = find_own(&request, frame, times, baud_rate) else {
-            // It may lack the label.
-            let error = Reply::parse(&request, frame).err()?;
-            let is_own = matches!(error, ReplyError::Malformed(_));
-            is_own.then(|| self.add_malformed(&request, error, frame.len(), shared))?;
+            let error = without_label(&request, frame)?;
+            self.add_malformed(&request, error, frame.len(), shared);
             return Some((request, *times));
         };
         let (rest, frame) = frame.split_at(frame.len() - own.len());
