@@ -377,7 +377,7 @@ fn bag(random: &mut Random, described: Option<(Scanner, Window)>) -> (Vec<u8>, T
         }
         let (scanner, written) = match described.filter(|_| random.once_in(2)) {
             Some((known, window)) => {
-                // A message with limits of the ranges belongs to the sensor that has them, so others write none.
+                // Another sensor's message is told from the described one's only by that sensor's limits.
                 let others = SCANNERS.into_iter().filter(|other| other.kind() == known.kind());
                 let others: Vec<_> = others.filter(|other| other.written.is_none()).collect();
                 let other = if others.is_empty() { known } else { *random.pick(&others) };
