@@ -37,8 +37,7 @@ const LONGEST_MOTOR_MEMORY: f64 = 20.0;
 /// Standard deviation of a clock's rate and of a motor's period, as parts of them.
 const RATE_DEVIATION: f64 = 0.002;
 const PERIOD_DEVIATION: f64 = 0.003;
-/// The same of the period that a sensor tells: a UBG-04LX-F01 tells 25 ms for a revolution, and takes
-/// 28.
+/// The same of the period that a sensor tells: a UBG-04LX-F01 tells 25 ms, and takes 28.
 const TOLD_PERIOD_DEVIATION: f64 = 0.05;
 /// How far an arrival may be from the line of the clock, and a revolution from the line of the motor,
 /// without the uncertainty of the line.

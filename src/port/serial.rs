@@ -29,8 +29,7 @@ pub(super) struct SerialPort {
     tty: Option<Tty>,
     change: Option<Change>,
     baud_rate: BaudRate,
-    /// True for the sensor's own USB port, where the baud rate has no effect; false for an
-    /// RS-232 adapter.
+    /// True for the sensor's own USB port, where the baud rate has no effect.
     is_usb_sensor: bool,
     /// Driver that misreports high baud rates.
     driver: Option<String>,
@@ -270,8 +269,7 @@ pub(super) struct SerialOpener {
 }
 
 impl SerialOpener {
-    /// Returns true while an earlier call, whose future was dropped, is still running, and while its
-    /// port is open.
+    /// Returns true while an earlier call, whose future was dropped, is running or its port is open.
     pub(super) fn is_busy(&self) -> bool {
         self.lock.try_lock().is_err()
     }

@@ -73,8 +73,7 @@ impl Geometry {
         self.steps_per_revolution
     }
 
-    /// Steps that the sensor measures. A sensor may answer for steps outside of them, but never
-    /// with a distance.
+    /// Steps that the sensor measures. For others it may send values, but never a distance.
     pub const fn steps(&self) -> RangeInclusive<u16> {
         self.first_step..=self.last_step
     }

@@ -71,8 +71,7 @@ impl ErrorCode {
         }
     }
 
-    /// Returns true if too little light came back: the codes 1 to 5 in SCIP 1.1, and 1 and 2 of a URG
-    /// in SCIP 2.
+    /// Returns true if too little light came back: codes 1 to 5 in SCIP 1.1, 1 and 2 of a URG in SCIP 2.
     pub const fn is_low_intensity(self) -> bool {
         matches!((self.codes, self.value), (Codes::Scip1, 1..=5) | (Codes::Urg, 1 | 2))
     }

@@ -101,9 +101,8 @@ impl Window {
     /// nothing outside of [`Window::DETECTION`]: the steps there always carry error code 19. Others
     /// send only what they measure.
     ///
-    /// Successive polls of a window differ in their echo if there is a spare step on either side. This
-    /// window has no spare step, and neither have some windows with a cluster count above 1 (0..=725 in
-    /// clusters of 4). They have one safeguard less against a reply that a faulty line delivers twice.
+    /// In SCIP 1.1 it leaves no spare step on either side, and neither do some clustered windows: their
+    /// polls cannot differ, a safeguard less against a reply that a faulty line delivers twice.
     pub const FULL: Self = Self { wish: Wish::Answered, ..Self::from_steps(0, LAST) };
 
     /// All that the sensor measures. For a URG-04LX: steps 44..=725, -119.53 to +119.88 degrees, 682
@@ -165,11 +164,8 @@ impl Window {
     pub fn resolve(self, geometry: &Geometry) -> Result<Self, WindowError> {
         let answered = geometry.answered_steps();
         let (start, end) = match self.wish {
-            Wish::All | Wish::Answered => {
-                let steps = if self.wish == Wish::All { geometry.steps() } else { answered };
-                let (start, end) = steps.into_inner();
-                return Ok(Self { start, end, ..self });
-            }
+            Wish::All => (geometry.first_step.into(), geometry.last_step.into()),
+            Wish::Answered => ((*answered.start()).into(), (*answered.end()).into()),
             Wish::Degrees(from, to) => measured_inside(geometry, from, to),
             Wish::Steps => (self.start.into(), self.end.into()),
         };
@@ -187,8 +183,7 @@ impl Window {
     /// same degrees or the same steps, in the same clusters. Finds the [statistics](crate::stats::ScheduleStats) of a
     /// stream, whose window has the steps of the sensor.
     ///
-    /// Windows that are equal may differ in this: one of all that the sensor measures, one of steps
-    /// 44..=725.
+    /// Equal windows may differ in this: one of all that the sensor measures, one of steps 44..=725.
     pub fn is_same_wish(&self, other: &Self) -> bool {
         self.wish == other.wish
             && self.cluster_count == other.cluster_count

@@ -149,8 +149,7 @@ impl Scan {
         self.measurements().map(Measurement::range)
     }
 
-    /// Metres, a millimetre below the shortest distance: AMCL takes a range of exactly `range_min`
-    /// for none.
+    /// Metres, a millimetre below the shortest distance: AMCL takes exactly `range_min` for none.
     pub fn range_min(&self) -> f32 {
         metres(self.meta.geometry.distances().start().saturating_sub(1))
     }

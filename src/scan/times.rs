@@ -15,8 +15,7 @@ pub enum StampQuality {
     /// Arrival of this scan alone. A busy host and the frames of USB make it late.
     #[default]
     Arrival,
-    /// Motor of the sensor, as the driver knows it from the arrivals so far. Only on the sensor's own
-    /// USB port.
+    /// Motor of the sensor, as the arrivals so far show it. Only on the sensor's own USB port.
     Motor,
     /// Clock of the sensor, as the driver knows it from the arrivals so far. Only the scans of a
     /// [stream](crate::guide::polling) of SCIP 2.

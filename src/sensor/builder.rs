@@ -16,8 +16,7 @@ use crate::{BaudRate, Error, ErrorKind, State};
 
 /// Longest time that you can set, so that no instant overflows.
 const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
-/// A shorter wait would be a busy loop, and so would a shorter time limit while the driver searches for
-/// a silent sensor.
+/// A shorter wait would be a busy loop, and so would a shorter time limit in a search for the sensor.
 const SHORTEST: Duration = Duration::from_millis(10);
 /// A shorter interval would keep the line busy with probes.
 const SHORTEST_PROBE: Duration = Duration::from_millis(100);
@@ -292,8 +291,7 @@ impl SensorBuilder {
     }
 }
 
-/// Spawns the driver. Waits until the sensor has answered for the first time, unless the driver waits
-/// for it.
+/// Spawns the driver. Waits for the sensor's first answer, unless the driver waits for the sensor.
 async fn opened((sensor, driver): (Sensor, Driver), waits: bool) -> Result<Sensor, Error> {
     tokio::spawn(driver);
     if !waits {

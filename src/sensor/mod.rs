@@ -117,8 +117,7 @@ impl Sensor {
         self.client.ask(Request::State).await
     }
 
-    /// Switches the laser on (`L1`, p. 4; `BM` in SCIP 2), and confirms it. Succeeds if the laser is on
-    /// already.
+    /// Switches the laser on (`L1`, p. 4; `BM` in SCIP 2), and confirms it, even if it is on already.
     ///
     /// The driver remembers the setting, see [`laser_off`](Self::laser_off).
     ///
@@ -200,9 +199,8 @@ impl Sensor {
     ///
     /// Polls lie on a fixed grid, without drift. A poll that falls due while the line is busy is sent
     /// as soon as the line is free. Further ones are skipped and never made up. Streams of the same
-    /// window and rate share their polls. If the line cannot carry the rate, you get no error: look at
-    /// the achieved rate in the log and [`stats`](Self::stats). [`Window::wire_time`]
-    /// predicts it.
+    /// window and rate share their polls. If the line cannot carry the rate, you get no error: the log
+    /// and [`stats`](Self::stats) tell the achieved rate, and [`Window::wire_time`] predicts it.
     ///
     /// Returns without waiting for a scan or a link. While the link is lost, the stream starts with
     /// [`Disconnected`](crate::ErrorKind::Disconnected) or the reason of the latest attempt, and

@@ -111,12 +111,36 @@ async fn polls_are_counted_and_find_a_silent_sensor() {
     let sensor = builder().connect(emulator.clone()).await.unwrap();
     sensor.scan(Window::DETECTION).await.unwrap();
     let stats = sensor.stats();
-    assert_eq!((stats.polls, stats.refused), (2, 1), "the laser was off");
+    assert_eq!((stats.polls, stats.refused), (1, 0), "the laser was switched on first");
     emulator.set_faults(Faults::none().every(Fault::CommandLost));
     sensor.scan(Window::DETECTION).await.unwrap_err();
     let mut state = sensor.watch_state();
     let silent = state.wait_for(|state| matches!(state, State::Recovering));
     timeout(Duration::from_secs(5), silent).await.unwrap().unwrap();
+}
+
+/// Its laser is off after the search, and probes find it off.
+#[tokio::test(start_paused = true)]
+async fn a_sensor_that_is_well_refuses_nothing() {
+    for model in [Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx] {
+        let emulator = numbered(model).build();
+        let probing = builder().idle_probe(Some(Duration::from_millis(100)));
+        let sensor = probing.connect(emulator.clone()).await.unwrap();
+        tokio::time::sleep(Duration::from_secs(1)).await;
+        sensor.scan(Window::DETECTION).await.unwrap();
+        let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+        next(&mut stream).await;
+        for on in [false, true] {
+            if on { sensor.laser_on().await } else { sensor.laser_off().await }.unwrap();
+            tokio::time::sleep(Duration::from_secs(1)).await;
+            assert_eq!(sensor.scan(Window::DETECTION).await.is_ok(), on);
+        }
+        drop(stream);
+        sensor.reboot().await.unwrap();
+        let mut stream = sensor.scans(Window::DETECTION, Rate::hz(2.0)).await.unwrap();
+        while stream.next().await.unwrap().is_err() {}
+        assert_eq!(sensor.stats().refused, 0, "{model:?}");
+    }
 }
 
 #[tokio::test(start_paused = true)]

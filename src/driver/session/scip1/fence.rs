@@ -72,8 +72,7 @@ impl Scip1 {
             Err(failure) if failure.is_lost_reply() => {
                 self.line.shared.counters.lock().stats.fence_timeouts += 1;
                 if self.line.transport.latest_at.is_none() {
-                    // Another program may have left half a command. And only an LF tells an echo
-                    // from a reply.
+                    // Another program may have left half a command; only an LF tells an echo from a reply.
                     self.line.transport.interrupted = true;
                 }
                 tracing::trace!(error = %failure.kind(), "no answer to a fence");

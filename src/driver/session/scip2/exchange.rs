@@ -46,8 +46,8 @@ impl Scip2<'_> {
         self.exchange_within(self.latency(&command), command, false).await
     }
 
-    /// As [`exchange`](Self::exchange), with another latency. Observers do not take the reply to a
-    /// probe for a scan.
+    /// As [`exchange`](Self::exchange), with another latency. To a probe a refusal is an answer like any
+    /// other, and observers do not take its reply for a scan.
     pub(super) async fn exchange_within(
         &mut self,
         latency: Duration,
@@ -122,10 +122,12 @@ impl Scip2<'_> {
                 // Whatever it answers: it may be unable to stop now.
                 self.state.stopped();
             }
-            if !status.is_ok_for(&command) {
-                self.line.shared.counters.lock().stats.refused += 1;
-            } else if let Some(baud_rate) = baud_rate {
+            let is_ok = status.is_ok_for(&command);
+            if let Some(baud_rate) = baud_rate.filter(|_| is_ok) {
                 self.line.check_speed(baud_rate.wire_time(bytes), &times);
+            }
+            if !is_ok && !is_probe {
+                self.line.shared.counters.lock().stats.refused += 1;
             }
             return Ok(Answer { request: *request, status, content, frame, times });
         }

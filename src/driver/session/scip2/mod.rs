@@ -46,8 +46,9 @@ pub(super) struct State {
     /// True if the sensor may send a stream that belongs to no request of this session: another
     /// program may have left it.
     has_stray_frames: bool,
-    /// True if the laser is to be on again after such a stream was stopped.
-    keeps_laser: bool,
+    /// True if the laser is to be on again after such a stream was stopped. `None` until the laser is
+    /// switched: the sensor was stopped when it was found.
+    keeps_laser: Option<bool>,
     /// Smallest selection that the sensor measures.
     one_step: Option<Window>,
     geometry: Geometry,
@@ -71,7 +72,7 @@ impl State {
             // Random, so that no reply to an earlier process matches a request.
             label: fastrand::u64(..),
             has_stray_frames: false,
-            keeps_laser: false,
+            keeps_laser: None,
             one_step: None,
             geometry: Geometry::URG_04LX,
             wants_intensities,
@@ -178,8 +179,8 @@ impl Scip2<'_> {
     pub(super) async fn stop_stray(&mut self) -> Result<(), ExchangeError> {
         match (self.state.has_stray_frames, self.state.keeps_laser) {
             (false, _) => Ok(()),
-            (true, true) => self.end_stream().await,
-            (true, false) => self.stop().await,
+            (true, Some(true)) => self.end_stream().await,
+            (true, _) => self.stop().await,
         }
     }
 
@@ -315,6 +316,9 @@ impl Scip2<'_> {
             return self.acquire_streamed(wish).await;
         }
         self.stop_stray().await?;
+        if self.state.keeps_laser.is_none() {
+            self.switch_on().await?;
+        }
         let command = Command::Latest { data: self.state.data, window };
         let answer = accepted(self.exchange(command).await?)?;
         match answer.content {
@@ -325,7 +329,7 @@ impl Scip2<'_> {
 
     /// Switches the laser, and checks by a probe whether the sensor measures.
     pub(super) async fn set_laser(&mut self, on: bool) -> Result<(), ExchangeError> {
-        self.state.keeps_laser = on;
+        self.state.keeps_laser = Some(on);
         let command = if on { Command::LaserOn } else { Command::LaserOff };
         let status = match self.ask_twice(command).await {
             Ok(answer) => Some(text(answer.status)),

@@ -92,7 +92,7 @@ impl Scip2<'_> {
         let answer = accepted(answer?)?;
         let (request, begun) = (answer.request, answer.times.requested);
         let running = Running { request, window, skipped, begun };
-        (self.state.running, self.state.keeps_laser) = (Some(running), true);
+        (self.state.running, self.state.keeps_laser) = (Some(running), Some(true));
         // The first answer may be lost, and a scan come in its place.
         if let Content::Scan(scan) = answer.content {
             self.state.add_scan(running, scan, answer.times, &self.line.shared);
@@ -104,6 +104,12 @@ impl Scip2<'_> {
     /// Ends the stream, if one runs. The laser stays on.
     pub(crate) async fn end_stream(&mut self) -> Result<(), ExchangeError> {
         self.stop().await?;
+        self.switch_on().await
+    }
+
+    /// Switches the laser on, if the sensor obeys.
+    pub(super) async fn switch_on(&mut self) -> Result<(), ExchangeError> {
+        self.state.keeps_laser = Some(true);
         match self.ask(Command::LaserOn).await {
             // There is no time for another command.
             Err(ExchangeError::Command(error)) if self.line.shared.is_closing() => {
