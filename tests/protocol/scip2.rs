@@ -35,6 +35,7 @@ fn commands_have_the_bytes_of_the_text() {
         (Command::Parameters, "PP"),
         (Command::State, "II"),
         (Command::StateCode, "%ST"),
+        (Command::Sleep, "%SL"),
         (Command::LaserOn, "BM"),
         (Command::LaserOff, "QT"),
         (Command::Reset, "RS"),

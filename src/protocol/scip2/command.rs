@@ -24,6 +24,8 @@ pub enum Command {
     State,
     /// `%ST`: read the state as a number. Ethernet models only.
     StateCode,
+    /// `%SL`: let the sensor sleep, with its laser off, until `QT` wakes it. Ethernet models only.
+    Sleep,
     /// `BM`: switch the laser on (p. 14). It is off after power-up.
     LaserOn,
     /// `QT`: switch the laser off, and end a [`Stream`] (p. 14).
@@ -187,6 +189,7 @@ impl fmt::Display for Command {
             Self::Parameters => "PP",
             Self::State => "II",
             Self::StateCode => "%ST",
+            Self::Sleep => "%SL",
             Self::LaserOn => "BM",
             Self::LaserOff => "QT",
             Self::Reset => "RS",
