@@ -120,22 +120,27 @@ impl Command {
         let mut parts = line.splitn(2, |&byte| byte == b';');
         let (command, text) = (parts.next().unwrap_or_default(), parts.next().unwrap_or_default());
         let letters = if command.starts_with(b"%") { 3 } else { 2 };
-        let (letters, digits) = command.split_at_checked(letters).ok_or(b"0E")?;
+        let is_ust = body.model == Model::Ust10lx;
+        let unknown = if is_ust { b"0F" } else { b"0E" };
+        let (letters, digits) = command.split_at_checked(letters).ok_or(unknown)?;
         let is_it = |(known, _, models, _): &&Form| {
             known.split(' ').any(|known| known.as_bytes() == letters)
                 && models.contains(&body.model)
         };
-        let (_, count, _, read) = FORMS.iter().find(is_it).ok_or(b"0E")?;
+        let (_, count, _, read) = FORMS.iter().find(is_it).ok_or(unknown)?;
         if text.len() > MAX_TEXT_BYTES || too_long {
             return Err(b"0G");
         }
         if !text.iter().all(|byte| byte.is_ascii_alphanumeric() || b" ._+@".contains(byte)) {
             return Err(b"0H");
         }
+        // A real UST (2.23.0000) looks at its laser before the digits.
+        let is_dark = is_ust && letters.starts_with(b"G") && !body.is_laser_on;
+        let refused = |refusal| Err(if is_dark { b"10" } else { refusal });
         match digits.len().cmp(count) {
-            Ordering::Less => Err(b"0C"),
-            Ordering::Greater => Err(b"0D"),
-            Ordering::Equal => read(Digits { letters, digits, body }),
+            Ordering::Less => refused(b"0C"),
+            Ordering::Greater => refused(b"0D"),
+            Ordering::Equal => read(Digits { letters, digits, body }).or_else(refused),
         }
     }
 

@@ -65,7 +65,7 @@ pub(super) fn state(body: &Body, milliseconds: u64, characters: [u8; 4]) -> Vec<
     let rpm = rpm(body.model);
     let by_user = "<-Default setting by user";
     let (speed, line, time, works) = if body.model == Model::Ust10lx {
-        let line = "Ethernet 100 [Mbps]".to_owned();
+        let line = "Ethernet 100[Mbps]".to_owned();
         (rpm.to_string(), line, characters.to_vec(), "sensor is working normally")
     } else {
         let line = match (body.model, body.baud_rate) {

@@ -63,7 +63,7 @@ async fn a_ust_says_what_it_is() {
         (
             "II",
             "MODL:UST-10LX;D\nLASR:OFF;7\nSCSP:2400;i\nMESM:Measuring by Sensitive Mode;A\n\
-             SBPS:Ethernet 100 [Mbps];<\nTIME:0000;Y\nSTAT:sensor is working normally;k",
+             SBPS:Ethernet 100[Mbps];\\\nTIME:0000;Y\nSTAT:sensor is working normally;k",
         ),
         (
             "VV",
@@ -124,6 +124,9 @@ async fn a_ug01_says_what_it_is() {
     assert!(state.contains("SBPS:19200[bps]<-Default setting by user;A"), "{state}");
 }
 
+/// Status of a command that a model does not know: `0F` of a UST, `0E` of the others.
+const UNKNOWN: &str = "unknown";
+
 #[tokio::test(start_paused = true)]
 async fn each_model_answers_with_its_status() {
     use Model::{Urg04lx as Urg, Urg04lxUg01 as Ug01, Ust10lx as Ust, Utm30lx as Utm};
@@ -137,13 +140,13 @@ async fn each_model_answers_with_its_status() {
         (&[Urg, Ug01, Utm, Ust], "TM3", "01Q"),
         (&[Urg, Ug01, Utm, Ust], "GD0044072501", "10Q"),
         // Not known, too short, too long.
-        (&[Urg, Ug01, Utm, Ust], "V", "0Ee"),
-        (&[Urg, Ug01, Utm, Ust], "L1", "0Ee"),
-        (&[Urg, Ug01, Utm, Ust], "XY", "0Ee"),
-        (&[Urg, Ug01, Utm, Ust], "SCIP2.0", "0Ee"),
+        (&[Urg, Ug01, Utm, Ust], "V", UNKNOWN),
+        (&[Urg, Ug01, Utm, Ust], "L1", UNKNOWN),
+        (&[Urg, Ug01, Utm, Ust], "XY", UNKNOWN),
+        (&[Urg, Ug01, Utm, Ust], "SCIP2.0", UNKNOWN),
         (&[Urg, Ug01, Utm, Ust], "VV1", "0Dd"),
         (&[Urg, Ug01, Utm, Ust], "TM", "0Cc"),
-        (&[Urg, Ug01, Utm, Ust], "GD004407250", "0Cc"),
+        (&[Urg, Ug01, Utm], "GD004407250", "0Cc"),
         (&[Urg, Ug01, Utm, Ust], "MD004407250100", "0Cc"),
         (&[Urg, Ug01, Utm, Ust], "MD00440725010000", "0Dd"),
         // Texts of the host.
@@ -153,17 +156,17 @@ async fn each_model_answers_with_its_status() {
         (&[Urg, Ug01, Utm, Ust], "QT;a;b", "0Hh"),
         (&[Urg, Ug01, Utm, Ust], "QT;a-b", "0Hh"),
         // Steps, clusters, skips and counts.
-        (&[Urg, Ug01, Utm, Ust], "GDx044072501", "01Q"),
-        (&[Urg, Ug01, Utm, Ust], "GD004407+501", "02R"),
-        (&[Urg, Ug01, Utm, Ust], "GD00440725 1", "03S"),
+        (&[Urg, Ug01, Utm], "GDx044072501", "01Q"),
+        (&[Urg, Ug01, Utm], "GD004407+501", "02R"),
+        (&[Urg, Ug01, Utm], "GD00440725 1", "03S"),
         (&[Urg, Ug01], "GD0044076901", "04T"),
-        (&[Utm, Ust], "GD0044108101", "04T"),
+        (&[Utm], "GD0044108101", "04T"),
         (&[Urg, Ug01, Utm, Ust], "MD0100009901000", "05U"),
         (&[Urg, Ug01, Utm, Ust], "MD0044072501x00", "06V"),
         (&[Urg, Ug01, Utm], "MS00440725010-1", "07W"),
         (&[Urg, Ug01, Utm], "GS0044072501", "10Q"),
-        (&[Ust], "GS0044072501", "0Ee"),
-        (&[Ust], "MS0044072501000", "0Ee"),
+        (&[Ust], "GS0044072501", UNKNOWN),
+        (&[Ust], "MS0044072501000", UNKNOWN),
         // Baud rates and speeds.
         (&[Urg], "SS115200", "00P"),
         (&[Urg], "SS038400", "04T"),
@@ -180,28 +183,59 @@ async fn each_model_answers_with_its_status() {
         (&[Urg], "HS1", "0Cc"),
         (&[Ug01], "HS1", "00P"),
         (&[Ug01], "HS2", "01Q"),
-        (&[Utm, Ust], "HS1", "0Ee"),
+        (&[Utm, Ust], "HS1", UNKNOWN),
         // Intensities, several echoes, states and microseconds.
-        (&[Ug01], "GE0044072501", "0Ee"),
+        (&[Ug01], "GE0044072501", UNKNOWN),
         (&[Utm, Ust], "GE0044072501", "10Q"),
-        (&[Ug01, Utm, Ust], "HD0044072501", "0Ee"),
-        (&[Ug01, Utm, Ust], "HE0044072501", "0Ee"),
-        (&[Ug01, Utm, Ust], "ND0044072501000", "0Ee"),
-        (&[Ug01, Utm, Ust], "NE0044072501000", "0Ee"),
-        (&[Urg, Ug01, Utm], "%ST", "0Ee"),
-        (&[Urg, Ug01, Utm], "%SL", "0Ee"),
-        (&[Urg, Ug01, Utm], "%TM1", "0Ee"),
-        (&[Urg, Ug01, Utm], "%MD0044072501000", "0Ee"),
-        (&[Urg, Ug01, Utm], "%ME0044072501000", "0Ee"),
+        (&[Ug01, Utm, Ust], "HD0044072501", UNKNOWN),
+        (&[Ug01, Utm, Ust], "HE0044072501", UNKNOWN),
+        (&[Ug01, Utm, Ust], "ND0044072501000", UNKNOWN),
+        (&[Ug01, Utm, Ust], "NE0044072501000", UNKNOWN),
+        (&[Urg, Ug01, Utm], "%ST", UNKNOWN),
+        (&[Urg, Ug01, Utm], "%SL", UNKNOWN),
+        (&[Urg, Ug01, Utm], "%TM1", UNKNOWN),
+        (&[Urg, Ug01, Utm], "%MD0044072501000", UNKNOWN),
+        (&[Urg, Ug01, Utm], "%ME0044072501000", UNKNOWN),
         (&[Ust], "%TM0", "01Q"),
         (&[Ust], "%SL", "00P"),
     ] {
         for model in models {
             let mut link = sensor(*model).build().link();
             let reply = ask(&mut link, command).await;
+            let status = match (status, model) {
+                (UNKNOWN, Ust) => "0Ff",
+                (UNKNOWN, _) => "0Ee",
+                _ => status,
+            };
             assert_eq!(reply, format!("{command}\n{status}\n\n"), "{model:?}");
         }
     }
+}
+
+/// As one with firmware 2.23.0000 answered: `GD` without digits only tells that the laser is off.
+#[tokio::test(start_paused = true)]
+async fn a_ust_looks_at_its_laser_before_the_digits() {
+    for (command, off, on) in [
+        ("GD", "10Q", "0Cc"),
+        ("GE", "10Q", "0Cc"),
+        ("MD", "0Cc", "0Cc"),
+        ("ME", "0Cc", "0Cc"),
+        ("GDx044072501", "10Q", "01Q"),
+        ("GD004407+501", "10Q", "02R"),
+        ("GD00440725 1", "10Q", "03S"),
+        ("GD0044108101", "10Q", "04T"),
+        ("GD00440725010", "10Q", "0Dd"),
+        ("GS", "0Ff", "0Ff"),
+        ("GD;a-b", "0Hh", "0Hh"),
+    ] {
+        for (is_on, status) in [(false, off), (true, on)] {
+            let mut link = sensor(Model::Ust10lx).laser(is_on).build().link();
+            assert_eq!(ask(&mut link, command).await, format!("{command}\n{status}\n\n"));
+        }
+    }
+    let emulator = sensor(Model::Ust10lx).build();
+    assert_eq!(ask(&mut emulator.link(), "GD0044072501").await, "GD0044072501\n10Q\n\n");
+    assert_eq!(emulator.log()[0].verdict, Verdict::WellFormed);
 }
 
 /// As a UST-10LX sent to a host that ends its commands with CR, and as hosts read it that send both.

@@ -43,11 +43,12 @@ fn answer(model: Model, state: &State, command: &str) -> (&'static str, State) {
     use State::{Asleep, Clock, Multi, Single, Standby};
     let is_ust = model == Model::Ust10lx;
     let same = |status| (status, state.clone());
+    let unknown = same(if is_ust { "0Ff" } else { "0Ee" });
     let denied = same(if is_ust { "10Q" } else { "0Ee" });
     match (command, state) {
-        ("XX", _) => same("0Ee"),
-        ("%ST" | "%SL", _) if !is_ust => same("0Ee"),
-        (short, _) if is_ust && ["GS", "MS"].contains(&&short[..2]) => same("0Ee"),
+        ("XX", _) => unknown,
+        ("%ST" | "%SL", _) if !is_ust => unknown,
+        (short, _) if is_ust && ["GS", "MS"].contains(&&short[..2]) => unknown,
         ("VV" | "TM1" | "%ST", _) => same("00P"),
         ("RT", _) => ("00P", Standby),
         ("TM0", Clock) => same("02R"),
