@@ -48,7 +48,7 @@ impl RecordTotals {
         if files > 1 {
             let _ = write!(text, " in {files} files");
         }
-        if lost + lost_on_the_way + skipped + gaps == 0 {
+        if lost + lost_replies + failed + lost_on_the_way + skipped + gaps == 0 {
             text.push_str(", none lost");
         }
         for (count, one, more) in [
@@ -79,6 +79,9 @@ mod tests {
         (totals.progress.scans, totals.progress.bytes) = (598, 2_345_678);
         assert_eq!(totals.after(Duration::from_secs(61)), "598 scans in 1:01, 2.3 MB, none lost");
         assert!(totals.after(Duration::from_secs(3601)).starts_with("598 scans in 1:00:01, "));
+        (totals.progress.bytes, totals.failed) = (13_999, 1);
+        let failed = "598 scans in 0:09, 14.0 kB, 1 poll without a scan";
+        assert_eq!(totals.after(Duration::from_secs(9)), failed);
         let mut progress = Progress::default();
         (progress.scans, progress.bytes, progress.files) = (3, 13_999, 2);
         (progress.lost, progress.lost_replies, progress.late_syncs) = (1, 5, 7);
