@@ -1,5 +1,4 @@
-//! Prints a stream's events to standard error, and maps the end of the stream to the
-//! program's outcome.
+//! Prints a stream's events to standard error, and maps the end of the stream to the program's outcome.
 
 use std::time::{Duration, Instant};
 
@@ -48,10 +47,10 @@ impl Reporter {
 
     pub(crate) fn report(&mut self, update: &Update) {
         match update {
-            Update::Scan(scan) => {
+            Update::Scan(_) => {
                 self.scans += 1;
                 let watch = self.watch.as_mut();
-                if let Some(text) = watch.and_then(|watch| watch.scanned(scan, &self.sensor)) {
+                if let Some(text) = watch.and_then(|watch| watch.scanned(&self.sensor)) {
                     notice(format_args!("{}: {text}", self.port));
                 }
             }

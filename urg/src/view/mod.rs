@@ -193,7 +193,7 @@ impl Viewer {
 
     fn scanned(&mut self, number: usize, scan: Scan) {
         let Some((live, _)) = self.sensor_mut(number) else { return };
-        let notice = live.pace.scanned(&scan, &live.sensor);
+        let notice = live.pace.scanned(&live.sensor);
         self.model.scanned(number, scan);
         if let Some(text) = notice {
             self.show(number, text);
