@@ -322,6 +322,7 @@ fn polls_without_a_scan_are_counted_for_the_recording_alone() {
     let is_failure = |entry: &Entry| matches!(entry, Entry::Event(Event::Error { .. }));
     let failed = records.filter(is_failure).count();
     assert!(failed > 3, "{stderr}");
+    assert_eq!(stderr.matches("(reported once; polling continues)").count(), 1, "{stderr}");
     let check = run(&format!("check {}", file.path()), 0).stdout;
     assert!(check.contains(&format!("weak    losses   {failed} polls without a scan")), "{check}");
     assert!(stderr.contains(&format!(", {failed} polls without a scan")), "{failed}: {stderr}");

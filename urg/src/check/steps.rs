@@ -54,10 +54,10 @@ fn identity(version: &Version, state: Option<&State>) -> Finding {
 /// Switches the laser off and on. The driver confirms both by asking for a measurement.
 pub(crate) async fn laser(sensor: &Sensor) -> Finding {
     for (switched, state) in [(sensor.laser_off().await, "off"), (sensor.laser_on().await, "on")] {
-        if let Err(error) = switched {
+        if let Err(why) = switched {
             return Finding::failed(
                 "laser",
-                format!("cannot be switched {state}: {}", chain(&error)),
+                format!("cannot be switched {state}: {}", chain(&why)),
             );
         }
     }
@@ -267,6 +267,23 @@ mod tests {
             let finding = identity(&version, Some(&state));
             assert_eq!(finding.verdict, verdict, "{finding}");
             assert!(verdict == Verdict::Ok || finding.to_string().contains(says), "{finding}");
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn limits_of_latency_and_of_equal_scans_are_good() {
+        let equal = |_: WorldTime, codes: &mut Values| codes.fill(1000);
+        let late = |later| (100, Faults::none().at(30, Fault::Late(Duration::from_millis(later))));
+        // Slow motors bring five and six scans in a second.
+        for ((period, faults), seconds, step, is_weak) in [
+            (late(140), 10, "latency", false),
+            (late(160), 10, "latency", true),
+            ((190, Faults::none()), 1, "sight", false),
+            ((160, Faults::none()), 1, "sight", true),
+        ] {
+            let sensor = Emulator::builder().usb().revolution(Duration::from_millis(period));
+            let (bad, text) = test(sensor.world(equal), faults, seconds).await;
+            assert_eq!(bad.contains(&(step, Verdict::Weak)), is_weak, "{text}");
         }
     }
 

@@ -75,3 +75,35 @@ pub(crate) fn trouble(state: &State) -> Option<String> {
         _ => "the driver is in a state that this program does not know".to_owned(),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use tokio_scip::BaudRate;
+    use urg_emulator::{Emulator, Firmware, Mode};
+
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn a_scan_is_overdue_after_three_periods_and_two_seconds() {
+        let slow = || Emulator::builder().baud_rate(BaudRate::B19200);
+        let in_scip2 = slow().firmware(Firmware::V31).mode(Mode::Scip2);
+        for (builder, rate, limit) in [
+            (Emulator::builder().usb(), Rate::UNLIMITED, 2000),
+            (slow(), Rate::hz(0.5), 8000),
+            // A scan takes 733 ms on the line, and 1,127 ms in SCIP 2.
+            (slow(), Rate::hz(10.0), 4200),
+            (in_scip2, Rate::UNLIMITED, 5382),
+        ] {
+            let sensor = Sensor::builder().connect(builder.build()).await.unwrap();
+            let mut stream = sensor.scans(Window::DETECTION, rate).await.unwrap();
+            stream.next().await.unwrap().unwrap();
+            sensor.laser_off().await.unwrap();
+            for (age, is_good) in [(limit - 5, true), (limit + 5, false)] {
+                let left = Duration::from_millis(age) - sensor.freshness().age().unwrap();
+                tokio::time::sleep(left).await;
+                let why = SensorHealth::from_sensor(Some(&sensor), Window::DETECTION, rate).why;
+                assert_eq!(why.is_none(), is_good, "{limit} {why:?}");
+            }
+        }
+    }
+}
