@@ -16,9 +16,8 @@ use crate::failure::Failure;
 pub(crate) struct LinkArgs {
     /// Baud rate to use [default: the sensor's current baud rate]
     ///
-    /// One of 19200, 57600, 115200, 250000, 500000 and 750000. You need not know the
-    /// current one: the sensor is detected at any of them, then set to this one. A
-    /// sensor on USB has no baud rate.
+    /// One of 19200, 57600, 115200, 250000, 500000 and 750000. You need not know the current one: the
+    /// sensor is detected at any of them, then set to this one. A sensor on USB has no baud rate.
     #[arg(long, value_name = "RATE")]
     pub(crate) baud: Option<BaudRate>,
     /// Protocol to speak; `auto` takes the one that the sensor speaks
@@ -111,8 +110,8 @@ pub(crate) struct WindowArgs {
     #[arg(long, value_name = "WINDOW", value_parser = named_window,
         conflicts_with_all = ["from", "to"])]
     window: Option<Window>,
-    /// Steps per point, 1 to 99; the sensor sends the smallest value of each
-    /// cluster, so an error code hides any distance [default: 1, or as recorded]
+    /// Steps per point, 1 to 99; the sensor sends the smallest distance of each cluster, but in
+    /// SCIP 1.1 any error code hides it [default: 1, or as recorded]
     #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u8).range(1..=99))]
     cluster: Option<u8>,
     /// First direction, -135deg (right) to 135deg (left), instead of --window [default: the last

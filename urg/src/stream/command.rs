@@ -23,7 +23,8 @@ use crate::recording::span::{RangeArgs, TopicArgs};
 /// Write scans to standard output as they come
 ///
 /// Runs until Ctrl-C, --count, --duration, or the end of a recording. Unplug the sensor and plug it
-/// back in: scanning resumes. Ending without a single scan is an error, unless you press Ctrl-C.
+/// back in: scanning resumes. Ending without a single scan is an error, unless you press Ctrl-C
+/// before one can arrive.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "`--help` explains the formats",
