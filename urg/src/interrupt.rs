@@ -120,9 +120,8 @@ fn report_file_size_limit() -> io::Result<()> {
     signal(SignalKind::from_raw(exceeded)).map(drop)
 }
 
-/// Starts to listen for console events. Ctrl-Break is the event that one program can send to
-/// another. After its console closes, or during shutdown, Windows kills the program within
-/// five seconds.
+/// Starts to listen for console events. Ctrl-Break is the event that one program can send to another.
+/// After its console closes, or during shutdown, Windows kills the program within five seconds.
 #[cfg(windows)]
 fn signalled(_has_trigger: bool) -> io::Result<impl Future<Output = ()>> {
     use tokio::signal::windows::{ctrl_break, ctrl_c, ctrl_close, ctrl_shutdown};

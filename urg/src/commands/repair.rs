@@ -14,10 +14,9 @@ use crate::recording::rewrite::{is_dash, rewrite};
 
 /// Restore a recording that is truncated or damaged
 ///
-/// If `urg record` is killed or the disk fills up, the recording has no end. `ros2
-/// bag`, rosbags and others do not open such a file. This command copies every message
-/// unchanged to a new file, and adds the index and the end. You lose only damaged
-/// parts, about one second each. FILE is not changed.
+/// If `urg record` is killed or the disk fills up, the recording has no end. `ros2 bag`, rosbags and
+/// others do not open such a file. This command copies every message unchanged to a new file, and adds
+/// the index and the end. You lose only damaged parts, about one second each. FILE is not changed.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   urg repair cut.mcap                    writes cut.repaired.mcap

@@ -10,8 +10,7 @@ use std::time::Duration;
 /// How long the program waits at exit for a reader of standard error that has stopped.
 const SHUTDOWN_GRACE: Duration = Duration::from_secs(2);
 
-/// Capacity of the queue, in lines. Drops text that does not fit; only a stopped reader causes
-/// that.
+/// Capacity of the queue, in lines. Drops text that does not fit; only a stopped reader causes that.
 const QUEUE_LINES: usize = 10_000;
 
 /// Moves the cursor to the start of the line and erases the line.

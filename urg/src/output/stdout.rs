@@ -9,8 +9,7 @@ use crate::failure::Failure;
 /// Writes `text`, and waits until the system has accepted it.
 ///
 /// What a pipe has room for, this thread writes itself: a trip to another thread and back takes two
-/// wake-ups, more than the driver's work on a scan. One of tokio's blocking threads writes the
-/// rest.
+/// wake-ups, more than the driver's work on a scan. One of tokio's blocking threads writes the rest.
 pub(crate) async fn print(text: impl Into<String>) -> Result<(), Failure> {
     let text = text.into();
     let mut rest = text.as_bytes();

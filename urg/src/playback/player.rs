@@ -38,10 +38,7 @@ pub(crate) struct Shown {
 }
 
 impl Player {
-    pub(crate) async fn start(
-        recorded: &Recorded,
-        settings: PlaybackArgs,
-    ) -> Result<Self, Failure> {
+    pub(crate) async fn start(recorded: &Recorded, args: PlaybackArgs) -> Result<Self, Failure> {
         let mut opened = {
             let recorded = recorded.clone();
             tokio::task::spawn_blocking(move || {
@@ -59,8 +56,8 @@ impl Player {
         };
         let (reel, first): (Reel, Scan) =
             opened.map_err(|error| Failure::new(recorded, &error))??;
-        let speed = settings.speed.unwrap_or(1.0);
-        let deck = Deck::new(reel.times(), speed, settings.is_looping, Instant::now());
+        let speed = args.speed.unwrap_or(1.0);
+        let deck = Deck::new(reel.times(), speed, args.is_looping, Instant::now());
         let shown = Shown { scan: first, status: deck.status() };
         let (sender, shown) = watch::channel(shown);
         let (commands, receiver) = mpsc::unbounded_channel();

@@ -130,8 +130,7 @@ impl PortName {
 }
 
 impl PortArg {
-    /// Resolves the port, and reads the settings of a recording. Without PORT, the error
-    /// suggests one.
+    /// Resolves the port, and reads the settings of a recording. Without PORT, the error suggests one.
     pub(crate) async fn required(&self) -> Result<PortName, Failure> {
         let Some(mut port) = self.name.clone() else { return Err(missing_port().await) };
         if let PortName::Recording(recorded) = &mut port {

@@ -107,20 +107,17 @@ mod tests {
 
     #[test]
     fn a_place_stands_behind_the_port() {
-        let placed: PlacedPort = "front=emulated@0.2,-1,180".parse().unwrap();
-        assert_eq!(placed.named.name.as_deref(), Some("front"));
+        let place: PlacedPort = "front=emulated@0.2,-1,180".parse().unwrap();
+        assert_eq!(place.named.name.as_deref(), Some("front"));
         let heading = std::f64::consts::PI;
-        assert_eq!(placed.pose, Pose { x: 0.2, y: -1.0, heading, upside_down: false });
+        assert_eq!(place.pose, Pose { x: 0.2, y: -1.0, heading, upside_down: false });
         // The emulated sensor measures its room from that pose.
-        assert!(matches!(placed.named.port, PortName::Emulated(pose) if pose == placed.pose));
-        let placed: PlacedPort = "emulated@0,0,0,upside-down".parse().unwrap();
-        assert!(placed.pose.upside_down);
+        assert!(matches!(place.named.port, PortName::Emulated(pose) if pose == place.pose));
+        let place: PlacedPort = "emulated@0,0,0,upside-down".parse().unwrap();
+        assert!(place.pose.upside_down);
         for port in ["emulated", "/dev/x@y", "a@b,c,d.mcap"] {
-            let placed: PlacedPort = port.parse().unwrap();
-            assert_eq!(
-                (placed.named.port.to_string(), placed.pose),
-                (port.into(), Pose::default())
-            );
+            let place: PlacedPort = port.parse().unwrap();
+            assert_eq!((place.named.port.to_string(), place.pose), (port.into(), Pose::default()));
         }
         for text in ["emulated@nan,0,0", "emulated@x,0,0", "emulated@,,", "emulated@1"] {
             let refused = text.parse::<PlacedPort>().unwrap_err();

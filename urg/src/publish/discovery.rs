@@ -34,8 +34,7 @@ fn is_host(text: &str) -> bool {
 }
 
 impl Discovery {
-    /// Reads `ROS_AUTOMATIC_DISCOVERY_RANGE`, `ROS_STATIC_PEERS` and the older
-    /// `ROS_LOCALHOST_ONLY`.
+    /// Reads `ROS_AUTOMATIC_DISCOVERY_RANGE`, `ROS_STATIC_PEERS` and the older `ROS_LOCALHOST_ONLY`.
     pub(crate) fn from_environment() -> Result<Self, Failure> {
         Self::resolve(|name| env::var_os(name).map(|text| text.to_string_lossy().into_owned()))
     }

@@ -124,9 +124,8 @@ pub(super) trait Engine: Send {
         false
     }
 
-    /// Checks whether the engine works. Called at regular intervals. May block for a few
-    /// seconds. If it cannot reach some readers, returns a line that tells the user what happens
-    /// to the scans.
+    /// Checks whether the engine works. Called at regular intervals. May block for a few seconds. If it
+    /// cannot reach some readers, returns a line that tells the user what happens to the scans.
     fn check(&mut self) -> Result<Option<String>, Reopen>;
 }
 

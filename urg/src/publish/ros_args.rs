@@ -155,8 +155,7 @@ impl RosArgs {
             if nodes.iter().any(is_topic) {
                 topic.get_or_insert_with(|| format!("--topic={to}"));
             } else if !from.starts_with("__") {
-                // ROS ignores remappings of unknown names: a launch file may apply them to all
-                // nodes.
+                // ROS ignores remappings of unknown names: a launch file may apply them to all nodes.
                 notice(format_args!("`{from}:={to}` changes nothing: only `scan` can be remapped"));
             }
         }

@@ -42,8 +42,7 @@ pub(crate) struct Contents {
     pub(crate) left_out: Vec<LeftOut>,
 }
 
-/// Reads the whole recording, which has no `path` if it is a pipe. Blocks for as long as that
-/// takes.
+/// Reads the whole recording, which has no `path` if it is a pipe. Blocks for as long as that takes.
 pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents, RecordingError> {
     let (window, rate) = (recording.window(), recording.rate());
     let baud_rate = recording.metadata().get("baud_rate").map(|rate| rate.parse().ok());

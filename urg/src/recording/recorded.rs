@@ -292,12 +292,7 @@ impl Connect for PipeReplay {
 
 /// Runs the driver. With [`Delivery::All`], pauses it while it is more than [`MAX_SCANS_AHEAD`]
 /// scans ahead of the consumer. The driver sees this as a busy machine.
-async fn run(
-    driver: Driver,
-    sensor: Sensor,
-    delivery: Delivery,
-    mut consumed: watch::Receiver<u64>,
-) {
+async fn run(driver: Driver, sensor: Sensor, delivery: Delivery, mut taken: watch::Receiver<u64>) {
     if delivery == Delivery::Newest {
         // The driver ends with the last handle. Its end is in the state of the sensor.
         drop(sensor);
@@ -307,7 +302,7 @@ async fn run(
     loop {
         let enough = sensor.stats().scans.saturating_sub(MAX_SCANS_AHEAD);
         // Fails after the last consumer is dropped.
-        let Ok(seen) = consumed.wait_for(|seen| *seen >= enough).await.map(|seen| *seen) else {
+        let Ok(seen) = taken.wait_for(|seen| *seen >= enough).await.map(|seen| *seen) else {
             return;
         };
         let ended = poll_fn(|cx| match driver.as_mut().poll(cx) {

@@ -23,8 +23,7 @@ const READ_BEFORE: usize = 50;
 #[derive(Debug)]
 pub(crate) struct Reel {
     recorded: Recorded,
-    /// Position of each scan, counted from the file's first scan, even if `--range` excludes
-    /// that one.
+    /// Position of each scan, counted from the file's first scan, even if `--range` excludes that one.
     positions: Vec<Duration>,
     version: Version,
     scans: RecordedScans,

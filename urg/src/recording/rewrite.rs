@@ -109,8 +109,7 @@ fn create(path: &Path) -> io::Result<NamedTempFile> {
     builder.tempfile_in(folder(path))
 }
 
-/// Renames a temporary file to `path`. Sync its content first. It is an error if `path` exists
-/// by now.
+/// Renames a temporary file to `path`. Sync its content first. It is an error if `path` exists by now.
 fn keep(temporary: TempPath, path: &Path) -> io::Result<()> {
     temporary.persist_noclobber(path)?;
     if cfg!(unix) {

@@ -92,17 +92,14 @@ mod tests {
         let pace = PaceArgs { rate: None, count: None, duration: Some(duration) };
         let interrupt = Interrupt::listen(false).unwrap();
         let mut taken = Vec::new();
-        let slowly = async |update| {
+        let write = async |update| {
             if let Update::Scan(scan) = update {
                 taken.push(scan.sequence());
                 tokio::time::sleep(2 * duration).await;
             }
             Ok(())
         };
-        assert_eq!(
-            follow(&mut feed, &pace, &interrupt, slowly).await.unwrap(),
-            StreamEnd::Complete
-        );
+        assert_eq!(follow(&mut feed, &pace, &interrupt, write).await.unwrap(), StreamEnd::Complete);
         let Some(Update::Scan(next)) = feed.next().now_or_never().flatten() else {
             panic!("no scan after {taken:?}")
         };

@@ -20,8 +20,7 @@ const MIN_SIZE: (u16, u16) = (30, 10);
 /// Minimum width for a panel beside the picture.
 const WITH_PANEL: u16 = 64;
 
-/// Draws the whole screen. Returns the first visible line of the help; `None` while the
-/// help is closed.
+/// Draws the whole screen. Returns the first visible line of the help; `None` while the help is closed.
 pub(crate) fn draw(frame: &mut Frame<'_>, model: &Model, palette: Palette) -> Option<u16> {
     let area = frame.area();
     let (width, height) = MIN_SIZE;

@@ -15,8 +15,7 @@ pub(crate) enum Palette {
 }
 
 impl Palette {
-    /// Chooses a palette by the environment variables of the terminal and of
-    /// <https://no-color.org>.
+    /// Chooses a palette by the environment variables of the terminal and of <https://no-color.org>.
     pub(crate) fn from_environment(variable: impl Fn(&str) -> Option<OsString>) -> Self {
         let text = |name| variable(name).unwrap_or_default().to_string_lossy().into_owned();
         let term = text("TERM");

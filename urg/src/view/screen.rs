@@ -66,8 +66,7 @@ impl Screen {
         Ok(Self { terminal, bytes, frames, writer, taken })
     }
 
-    /// Waits until the terminal accepts another frame. Fails once the terminal is gone.
-    /// Cancel-safe.
+    /// Waits until the terminal accepts another frame. Fails once the terminal is gone. Cancel-safe.
     pub(crate) async fn ready(&self) -> Result<(), Failure> {
         self.frames.reserve().await.map(drop).map_err(|_| Failure::PipeClosed)
     }

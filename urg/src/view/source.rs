@@ -59,8 +59,7 @@ impl ViewSource {
     }
 }
 
-/// Waits for the next scan or change from any source. The number identifies the source.
-/// Cancel-safe.
+/// Waits for the next scan or change from any source. The number identifies the source. Cancel-safe.
 pub(super) async fn next_of_any(sources: &mut [ViewSource]) -> (usize, Arrival) {
     let (arrival, number, _) =
         select_all(sources.iter_mut().map(|source| Box::pin(source.next()))).await;

@@ -16,12 +16,8 @@ pub(super) fn text(status: StatusCode, text: impl Into<Bytes>) -> Response {
     whole(status, "text/plain; charset=utf-8", text)
 }
 
-pub(super) fn whole(
-    status: StatusCode,
-    content_type: &'static str,
-    body: impl Into<Bytes>,
-) -> Response {
-    response(status, content_type, Full::new(body.into()))
+pub(super) fn whole(status: StatusCode, mime: &'static str, body: impl Into<Bytes>) -> Response {
+    response(status, mime, Full::new(body.into()))
 }
 
 pub(super) fn response(

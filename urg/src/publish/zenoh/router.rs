@@ -1,6 +1,5 @@
-//! Probes a router that can fail silently, and counts scans that it may not have received.
-//! Zenoh itself closes the link to a silent router only after 10 s, and does not tell which
-//! messages were lost.
+//! Probes a router that can fail silently, and counts scans that it may not have received. Zenoh itself
+//! closes the link to a silent router only after 10 s, and does not tell which messages were lost.
 
 use std::net::{IpAddr, ToSocketAddrs, UdpSocket};
 use std::sync::Arc;

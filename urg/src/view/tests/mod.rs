@@ -64,18 +64,12 @@ async fn watched(emulator: Emulator) -> Model {
 }
 
 /// Unplugs a sensor, and shows it `seconds` later.
-async fn lose(
-    model: &mut Model,
-    number: usize,
-    emulator: &Emulator,
-    sensor: &Sensor,
-    seconds: u64,
-) {
+async fn lose(model: &mut Model, at: usize, emulator: &Emulator, sensor: &Sensor, seconds: u64) {
     emulator.unplug();
     let mut state = sensor.watch_state();
     let lost = state.wait_for(|state| matches!(state, State::Disconnected { .. })).await;
-    model.layers[number].state = lost.unwrap().clone();
-    if let State::Disconnected { since, .. } = &model.layers[number].state {
+    model.layers[at].state = lost.unwrap().clone();
+    if let State::Disconnected { since, .. } = &model.layers[at].state {
         model.now = *since + Duration::from_secs(seconds);
     }
 }
