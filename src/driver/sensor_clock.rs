@@ -129,7 +129,11 @@ impl SensorClock {
         (lines.clock, lines.late) = (clock, late);
         // Not a number if rounding has made a determinant negative.
         if gate.is_nan() || late < -gate || is_lost {
-            self.jumps += u64::from(lines.is_used());
+            // How far the clock has drifted in a pause, and how often it has begun anew, is not known.
+            let drift = GATE + 3.0 * RATE_DEVIATION * (passed + late);
+            let off = late - wrap * (late / wrap).round();
+            let is_jump = !is_first || !(-drift..=longest + drift).contains(&off);
+            self.jumps += u64::from(lines.is_used() && is_jump);
             return self.start(clock, arrived);
         }
         if late <= gate {

@@ -2,13 +2,14 @@
 
 use std::time::Duration;
 
-use tokio::time::sleep;
+use tokio::time::{Instant, sleep};
 use tokio_scip::scan::StampQuality;
 use tokio_scip::{ErrorKind, Rate, Scan, Window};
 use urg_emulator::{Emulator, Fault, Faults, Model};
 
 use super::{next, numbered, revolution};
-use crate::common::builder;
+use crate::common::random::{Random, seeds};
+use crate::common::{builder, ms};
 
 /// How much later a scan says that its first ray was than the emulator does, in milliseconds.
 pub(super) fn lateness(emulator: &Emulator, scan: &Scan) -> f64 {
@@ -203,5 +204,39 @@ async fn d15_a_sensor_that_restarted_between_two_streams_has_a_new_clock() {
         sleep(Duration::from_secs(20)).await;
         emulator.power_cycle();
         sleep(Duration::from_millis(10_025)).await;
+    }
+}
+
+/// After a pause nobody knows how far the clock has drifted: that is no jump.
+#[tokio::test(start_paused = true)]
+async fn only_jumps_of_the_clock_are_counted() {
+    for seed in seeds("SCIP_JUMPS", 6) {
+        let mut random = Random::new(seed);
+        let (model, least) = *random.pick(&[(Model::Ust10lx, 2000), (Model::Urg04lxUg01, 5000)]);
+        let faster = (random.below(4001) as f64 - 2000.0) / 1e6;
+        let reads = ms(random.below(1 << 24));
+        let emulator = numbered(model).clock(reads, faster).frame(ms(1)).build();
+        let sensor = builder().idle_probe(None).connect(emulator.clone()).await.unwrap();
+        let (window, mut jumps) = (Window::new(384..=384).unwrap(), 0);
+        for _ in 0..6 {
+            let mut stream = sensor.scans(window, Rate::UNLIMITED).await.unwrap();
+            let end = Instant::now() + ms(least) + random.ms(10_000);
+            while Instant::now() < end {
+                next(&mut stream).await;
+            }
+            let motor = sensor.stats().motor.unwrap();
+            assert_eq!(motor.jumps, jumps, "seed {seed}: {motor:?}");
+            drop(stream);
+            // Up to three turns of the clock.
+            let longest = 10_u64.pow(random.below(5) as u32 + 3) / 2;
+            let pause = random.below(longest);
+            sleep(ms(pause)).await;
+            if random.once_in(4) {
+                // More than the clock can have drifted.
+                let by = 100 + least as i64 + pause as i64 / 50;
+                emulator.jump_clock(if random.once_in(2) { by } else { -by });
+                jumps += 1;
+            }
+        }
     }
 }
