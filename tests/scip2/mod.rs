@@ -3,6 +3,7 @@
 mod disturbances;
 mod histories;
 mod intensities;
+mod network;
 mod reboot;
 mod refusals;
 mod serial;

@@ -120,7 +120,7 @@ impl Service<'_> {
             }
             self.check_stream(session);
             let polling = !self.schedules.is_empty() && !self.laser.is_off;
-            self.publish_streaming(polling);
+            self.publish_streaming(polling, session);
             let due = self.schedules.next_due().filter(|_| polling);
             let poll_is_due = due.is_some_and(|due| due <= now);
             for _ in Turn::ALL {
@@ -229,10 +229,11 @@ impl Service<'_> {
         stop
     }
 
-    /// Updates the state only on a change, because a user may hold a borrow of it.
-    fn publish_streaming(&mut self, now: bool) {
+    /// Updates the state only on a change, because a user may hold a borrow of it. No gap spans one.
+    fn publish_streaming(&mut self, now: bool, session: &mut Session) {
         if std::mem::replace(&mut self.streaming, now) != now {
             self.shared.link.set_streaming(now);
+            session.streams().iter_mut().for_each(|streams| streams.allow_gap());
         }
     }
 }

@@ -15,15 +15,14 @@ use crate::{ErrorKind, Window};
 impl Service<'_> {
     /// Starts a stream for the schedules that are not too slow for it, if the line is not.
     pub(super) async fn start_stream(&mut self, session: &mut Session) -> Result<(), Stop> {
-        // It would switch on a laser that is to be off.
-        if self.queue.desired.laser == Some(false) {
-            return Ok(());
-        }
-        let Some(wish) = self.schedules.stream(self.scan_time) else { return Ok(()) };
         let Some(mut streams) = session.streams() else { return Ok(()) };
-        if !streams.can_stream(wish) {
+        // It would switch on a laser that is to be off.
+        let may_start = self.queue.desired.laser != Some(false);
+        let wish = self.schedules.stream(self.scan_time);
+        let Some(wish) = wish.filter(|wish| may_start && streams.can_stream(*wish)) else {
+            streams.allow_gap();
             return Ok(());
-        }
+        };
         self.schedules.begin_stream(self.scan_time);
         let outcome = streams.stream(wish).await;
         match outcome {

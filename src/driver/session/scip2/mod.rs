@@ -60,8 +60,8 @@ pub(super) struct State {
     /// What the stream has sent, and the driver has not yet delivered.
     pub(super) waiting: Waiting,
     clock: SensorClock,
-    /// Sensor's clock of the stream's latest scan, and when it came.
-    latest: Option<(Stamp, Instant)>,
+    /// Of a stream's latest scan: its clock, its arrival, and how many may follow it unsent. `None`: any.
+    latest: Option<(Stamp, Instant, Option<u8>)>,
     /// True if that one came twice.
     was_copied: bool,
 }
@@ -106,10 +106,8 @@ fn acquired(scan: Scan, times: ReplyTimes) -> Acquired {
     };
     let told = told.map(|clock| Told { clock, revolution: Revolution::default(), motor: None });
     let has_intensities = !scan.intensities().is_empty();
-    let values = scan.into_values();
-    let values =
-        if has_intensities { Values::WithIntensities(values) } else { Values::Long(values) };
-    Acquired { values, first: 0, told: told.map(Box::new), times }
+    let kind = if has_intensities { Values::WithIntensities } else { Values::Long };
+    Acquired { values: kind(scan.into_values()), first: 0, told: told.map(Box::new), times }
 }
 
 /// Returns true if a reply had the status of SCIP 1.1.

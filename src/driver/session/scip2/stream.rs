@@ -77,11 +77,7 @@ impl Scip2<'_> {
             window = running.window.hull(&window);
         }
         if self.state.may_stream() {
-            // Of the scans that the sensor has left out, none is lost.
-            let is_as_dense = |running: Running| running.skipped == skipped;
-            let latest = self.state.latest.filter(|_| self.state.running.is_none_or(is_as_dense));
             self.stop().await?;
-            self.state.latest = latest;
         }
         let stream = Stream::new(self.state.data, window).skipping(skipped);
         let stream = stream.map_err(|error| Error::other(error).into_kind());
@@ -99,6 +95,11 @@ impl Scip2<'_> {
         }
         self.expect_scan();
         Ok(())
+    }
+
+    /// Counts no scan until the next stream as lost: nobody wants them.
+    pub(crate) fn allow_gap(&mut self) {
+        self.state.latest = self.state.latest.map(|(stamp, received, _)| (stamp, received, None));
     }
 
     /// Ends the stream, if one runs. The laser stays on.
@@ -217,7 +218,7 @@ impl State {
 
     /// Records that the sensor has been told to send nothing more.
     pub(super) fn stopped(&mut self) {
-        (self.running, self.has_stray_frames, self.latest) = (None, false, None);
+        (self.running, self.has_stray_frames) = (None, false);
     }
 
     /// Takes a frame that answers no request: shows it to the observers, and counts it if it does not
@@ -289,24 +290,25 @@ impl State {
 
     /// Lets a scan wait, unless it is a copy of the latest one, or comes after a newer one.
     fn add_scan(&mut self, running: Running, scan: Scan, times: ReplyTimes, shared: &Shared) {
-        let latest = self.latest.replace((scan.stamp, times.received));
-        let is_same = latest.is_some_and(|(stamp, _)| stamp == scan.stamp);
+        let latest = self.latest.replace((scan.stamp, times.received, Some(running.skipped)));
+        let is_same = latest.is_some_and(|(stamp, ..)| stamp == scan.stamp);
         // One copy may come late. More than one are scans of a clock that stands still.
         let may_be_copy = !std::mem::replace(&mut self.was_copied, is_same);
-        if let Some((stamp, received)) = latest {
+        if let Some((stamp, received, skipped)) = latest {
             let revolution = self.revolution();
             let since = times.began.duration_since(received);
             let is_soon = since < revolution / 2;
             // At its own time, it is the first scan after a jump of the clock.
             let is_old = is_soon && between(scan.stamp, stamp) < OLDEST;
             if is_old || is_same && (is_soon || may_be_copy) {
-                self.latest = Some((stamp, times.received));
+                self.latest = Some((stamp, times.received, skipped));
                 tracing::trace!("the line has delivered a scan twice, or an old one");
                 return;
             }
             let period = revolution * (u32::from(running.skipped) + 1);
             let passed = between(stamp, scan.stamp);
-            if passed < since + LONGEST_DELAY {
+            // Of the scans that the sensor has left out, none is lost.
+            if skipped == Some(running.skipped) && passed < since + LONGEST_DELAY {
                 let periods = (passed + period / 2).as_nanos() / period.as_nanos().max(1);
                 shared.counters.lock().stats.lost += (periods as u64).saturating_sub(1);
             }
