@@ -116,6 +116,8 @@ fn scans_come_as_urg_stream_writes_them() {
     assert_eq!((response.status, response.header("content-type")), (200, "application/x-ndjson"));
     // Otherwise nginx holds each scan until the next one. `proxy.py` measures it.
     assert_eq!(response.header("x-accel-buffering"), "no");
+    // Otherwise HAProxy's `compression` holds most scans until the next one, and Express's all.
+    assert_eq!(response.header("cache-control"), "no-store, no-transform");
     let mut next = None;
     for _ in 0..3 {
         let scan = scan(&response.line().unwrap());

@@ -10,7 +10,8 @@ use super::{Site, metrics, page, playback, scans, state};
 
 /// Headers of every response. The page adds a content security policy.
 const HEADERS: [(HeaderName, HeaderValue); 6] = [
-    (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
+    // A proxy that compresses, such as HAProxy or Express, would hold scans.
+    (header::CACHE_CONTROL, HeaderValue::from_static("no-store, no-transform")),
     (header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff")),
     (header::X_FRAME_OPTIONS, HeaderValue::from_static("DENY")),
     (header::REFERRER_POLICY, HeaderValue::from_static("no-referrer")),
