@@ -8,6 +8,7 @@ mod reboot;
 mod refusals;
 mod serial;
 mod streams;
+mod swaps;
 mod times;
 
 use std::time::Duration;
