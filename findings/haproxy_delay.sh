@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # HAProxy 2.6.12 (Debian 12) holds each server-sent event for 0.2 s, and with `compression` most until the next one.
 #
-# Expected: an event passes at once, as through nginx, Apache and Varnish of Debian 12. It tells the system that more
-# bytes follow, which waits for them up to 0.2 s, unless `option http-no-delay` is set. Its gzip keeps the last bits of
-# an event until further ones come, with that option, too, unless they fill a byte: the last event before a pause
-# arrives after it.
+# Expected: an event passes at once, as through Apache, h2o and Varnish of Debian 12. It tells the system that more bytes
+# follow, which waits for them up to 0.2 s, unless `option http-no-delay` is set. Its gzip keeps the last bits of an
+# event until further ones come, with that option, too, unless they fill a byte: the last event before a pause arrives
+# after it. It does not compress an answer with `Cache-Control: no-transform`.
 set -euo pipefail
 cd "$(dirname "$0")"
 python3 - <<'END'
