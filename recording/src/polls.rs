@@ -371,15 +371,11 @@ impl Polls {
         self.failed_polls += u64::from(matches!(record.entry, Entry::Event(Event::Error { .. })));
         if let Entry::Reply(reply) = &record.entry
             && reply.kind() == ReplyKind::Version
+            && let Some(version) = reply.version_lines().and_then(|lines| parse_version(&lines))
         {
-            let version = reply.version_lines().and_then(|lines| parse_version(&lines));
-            self.revolution = version.as_ref().and_then(revolution).or(self.revolution);
-            if let Some(version) = &version {
-                self.add_serial_number(version.serial_number.to_string());
-            }
-            if version.is_some() && self.version.is_none() {
-                self.version = Some(reply.clone());
-            }
+            self.revolution = revolution(&version).or(self.revolution);
+            self.add_serial_number(version.serial_number.to_string());
+            self.version.get_or_insert_with(|| reply.clone());
         }
         self.stream.add(record);
     }

@@ -137,8 +137,9 @@ impl Recording {
     ///
     /// If you [`open`](Self::open) a complete file, only the chunks of the part are read, and the
     /// first ones, up to the metadata, a reply to `V` and a scan. To do so it reads the file's
-    /// index, which takes at most 16 MiB of memory and is proved by a checksum. Any other file is
-    /// read from its beginning to its end, because messages may be in any order.
+    /// index, which takes at most 16 MiB of memory, is proved by a checksum, and must repeat the
+    /// definitions of all topics. Any other file is read from its beginning to its end, because messages
+    /// may be in any order.
     #[must_use]
     pub fn range(mut self, range: impl RangeBounds<Duration>) -> Self {
         self.range = TimeRange::new(&range);
@@ -188,9 +189,7 @@ impl Recording {
     fn open_next(&mut self) -> Result<bool, RecordingError> {
         let Some(path) = self.further.pop_front() else { return Ok(false) };
         self.records.continue_in(open(path)?);
-        if let Some(times) = &self.times {
-            self.records.leave_out_others(times)?;
-        }
+        self.times.iter().try_for_each(|times| self.records.leave_out_others(times))?;
         Ok(true)
     }
 
@@ -261,7 +260,10 @@ impl Recording {
                 let opened = self.open_next().inspect_err(|_| self.further.clear());
                 return opened.map(|is_opened| is_opened.then_some(None)).transpose();
             }
-            Err(error) => return Some(Err(error)),
+            Err(error) => {
+                self.further.retain(|_| matches!(error, RecordingError::Damaged { .. }));
+                return Some(Err(error));
+            }
         };
         self.read_bytes = self.read_bytes.saturating_add(content.len());
         Some(Ok(match kind {
@@ -306,9 +308,9 @@ impl Recording {
             if self.times.is_none()
                 && let Some(times) = self.range.times()
             {
-                let left_out = self.records.leave_out_others(&times);
-                self.times = Some(times);
-                if let Err(error) = left_out {
+                let times = self.times.insert(times);
+                if let Err(error) = self.records.leave_out_others(times) {
+                    self.further.clear();
                     return Some(Err(error));
                 }
             }

@@ -129,11 +129,8 @@ impl RecordedReply {
 
     /// Lines of a successful reply to `V` or `VV`, without sums.
     pub(super) fn version_lines(&self) -> Option<Vec<Vec<u8>>> {
-        match (self.scip1(), self.scip2()) {
-            (Some(_), _) | (_, Some(Content::Version(_))) => {}
-            _ => return None,
-        }
-        let lines = self.frame()?.split(|&byte| byte == b'\n').skip(2);
+        let is_ok = self.scip1().is_some() || matches!(self.scip2(), Some(Content::Version(_)));
+        let lines = self.frame().filter(|_| is_ok)?.split(|&byte| byte == b'\n').skip(2);
         let lines = lines.map(|line| match line {
             [line @ .., b';', _] if self.request.is_some() => line,
             line => line,

@@ -1,7 +1,7 @@
 //! Parts of files whose records are drawn, with or without the file's index: which records a part has,
 //! and which messages are counted as left out.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Cursor;
 use std::ops::Bound;
 use std::time::{Duration, SystemTime};
@@ -101,24 +101,39 @@ async fn contents() -> Vec<(Kind, Vec<u8>)> {
 }
 
 fn file(random: &mut Random, drawn: &[(u64, Kind)], contents: &[(Kind, Vec<u8>)]) -> Vec<u8> {
-    let options = WriteOptions::new().compression(None).chunk_size(Some(1 + random.below(2_000)));
+    // The format allows each part of the index to be absent.
+    let options = WriteOptions::new()
+        .compression(None)
+        .emit_statistics(!random.once_in(3))
+        .emit_message_indexes(!random.once_in(3))
+        .emit_chunk_indexes(!random.once_in(3))
+        .emit_metadata_indexes(!random.once_in(3))
+        .emit_summary_offsets(!random.once_in(3))
+        .repeat_channels(random.once_in(2))
+        .repeat_schemas(random.once_in(2))
+        .calculate_summary_section_crc(!random.once_in(3))
+        .calculate_chunk_crcs(!random.once_in(3))
+        .chunk_size(Some(1 + random.below(500)));
     let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
     if random.once_in(2) {
         let metadata = BTreeMap::from([("rate".to_owned(), "10 Hz".to_owned())]);
         writer.write_metadata(&Metadata { name: "tokio_scip".to_owned(), metadata }).unwrap();
     }
     let scan = "sensor_msgs/msg/LaserScan";
-    for (number, topic, name) in [
-        (1, "/scan", scan),
-        (2, "/scip/replies", "std_msgs/msg/UInt8MultiArray"),
-        (3, "/scip/events", "std_msgs/msg/String"),
-        (4, "/rear/scan", scan),
-    ] {
-        let schema = writer.add_schema_with_id(number, name, "ros2msg", b"").unwrap();
-        writer.add_channel_with_id(number, schema, topic, "cdr", &BTreeMap::new()).unwrap();
-    }
+    let topics = [
+        ("/scan", scan),
+        ("/scip/replies", "std_msgs/msg/UInt8MultiArray"),
+        ("/scip/events", "std_msgs/msg/String"),
+        ("/rear/scan", scan),
+    ];
+    let mut declared = BTreeSet::new();
     for (sequence, (time, kind)) in drawn.iter().enumerate() {
         let (channel_id, _) = kind.place();
+        if declared.insert(channel_id) {
+            let (topic, name) = topics[usize::from(channel_id) - 1];
+            let schema = writer.add_schema_with_id(channel_id, name, "ros2msg", b"").unwrap();
+            writer.add_channel_with_id(channel_id, schema, topic, "cdr", &BTreeMap::new()).unwrap();
+        }
         let (sequence, log_time, publish_time) = (sequence as u32, *time, *time);
         let header = MessageHeader { channel_id, sequence, log_time, publish_time };
         let (_, content) = contents.iter().find(|(known, _)| known == kind).unwrap();
@@ -133,6 +148,9 @@ fn file(random: &mut Random, drawn: &[(u64, Kind)], contents: &[(Kind, Vec<u8>)]
 fn shuffled(random: &mut Random, mut file: Vec<u8>) -> Vec<u8> {
     let mut end = file.split_off(file.len() - 37);
     let start = u64::from_le_bytes(*end[9..].first_chunk().unwrap()) as usize;
+    if start == 0 {
+        return [file, end].concat();
+    }
     let (mut index, mut rest) = (Vec::new(), &file[start..]);
     while let Some(length) = rest.get(1..9) {
         let length = u64::from_le_bytes(length.try_into().unwrap()) as usize;
@@ -187,7 +205,7 @@ fn found(recording: Recording, range: (Bound<Duration>, Bound<Duration>)) -> Par
 async fn a_part_has_what_lies_in_its_time() {
     let contents = contents().await;
     let folder = Folder::new("drawn-parts");
-    for seed in seeds("URG_PARTS", 300) {
+    for seed in seeds("URG_PARTS", 600) {
         let random = &mut Random::new(seed);
         let is_sorted = !random.once_in(3);
         let mut time = BEGAN;

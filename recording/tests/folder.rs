@@ -105,16 +105,27 @@ fn any_description_is_read_or_refused() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_missing_file_is_named() {
-    let folder = Folder::new("missing-file");
+async fn a_file_that_cannot_be_read_is_the_last() {
+    let folder = Folder::new("unreadable-file");
     split(folder.path()).await;
-    describe(folder.path(), &["run.mcap", "gone.mcap"]);
-    let last = Recording::open(folder.path()).unwrap().last().unwrap();
-    let error = last.unwrap_err();
-    assert!(
-        matches!(&error, RecordingError::Open { path, .. } if path.ends_with("gone.mcap")),
-        "{error}"
-    );
+    let first = Recording::open(folder.path().join("run.mcap")).unwrap().count();
+    let other = folder.path().join("other.mcap");
+    describe(folder.path(), &["run.mcap", "other.mcap", "run_0002.mcap"]);
+    let last = || {
+        let items: Vec<_> = Recording::open(folder.path()).unwrap().take(first + 9).collect();
+        assert_eq!(items.len(), first + 1, "{:?}", items.get(first..));
+        items.into_iter().next_back().unwrap().unwrap_err()
+    };
+    assert!(matches!(last(), RecordingError::Open { path, .. } if path == other));
+    fs::write(&other, "a text").unwrap();
+    assert!(matches!(last(), RecordingError::NotMcap));
+    #[cfg(unix)]
+    {
+        fs::remove_file(&other).unwrap();
+        // Opens, but cannot be read.
+        fs::create_dir(&other).unwrap();
+        assert!(matches!(last(), RecordingError::Read { .. }));
+    }
 }
 
 /// `ros2 bag play` decompresses file by file, and the description keeps the names of the compressed ones.

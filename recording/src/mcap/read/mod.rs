@@ -85,12 +85,17 @@ impl Records {
         &mut self.definitions
     }
 
-    /// Leaves out chunks without a message at these times, if the file's index lists them.
+    /// Leaves out chunks without a message at these times, if the file's index lists them and repeats
+    /// the definitions: the only one of a topic may be in such a chunk.
     pub(crate) fn leave_out_others(
         &mut self,
         times: &RangeInclusive<u64>,
     ) -> Result<(), RecordingError> {
-        self.unwanted = parts_outside(&self.read_index()?, times).into();
+        let index = self.read_index()?;
+        let has = |wanted| records_of(&index).any(|(kind, _)| kind == wanted);
+        if has(kind::SCHEMA) && has(kind::CHANNEL) {
+            self.unwanted = parts_outside(&index, times).into();
+        }
         Ok(())
     }
 
