@@ -64,6 +64,15 @@ fn a_long_recording_needs_two_chunks_of_memory() {
     assert!(counted.bytes_max < 900_000, "{} bytes in memory", counted.bytes_max);
 }
 
+#[test]
+fn metadata_alone_do_not_fill_the_memory() {
+    let value = [text("key"), text(&"v".repeat(1_000_000))].concat();
+    let content = [&text("other")[..], &(value.len() as u32).to_le_bytes(), &value].concat();
+    let file = Endless::new(MAGIC, of_kind(0x0c, &content), 40);
+    let counted = measure(|| drop(repair(file, io::sink()).unwrap()));
+    assert!(counted.bytes_max < 10_000_000, "{} bytes in memory", counted.bytes_max);
+}
+
 /// Makes a reply of a sensor of this length.
 pub(super) fn reply(length: usize) -> Vec<u8> {
     let (command, length_field) = (text("\0"), (length as u32).to_le_bytes());

@@ -253,6 +253,80 @@ async fn scans_of_one_log_time_are_read_once() {
     }
 }
 
+/// Metadata and messages of two streams in any order: a copy counts what a reader of it finds.
+#[tokio::test(start_paused = true)]
+async fn a_copy_counts_the_scans_of_any_stream() {
+    for model in MODELS {
+        let mut streams = Vec::new();
+        for first in [300, 340] {
+            let stream = (window_of(first, first + 20, 1), Rate::hz(10.0));
+            let has = Has { replies: true, metadata: true };
+            let (file, _) = recorded(model, has, stream, 8).await;
+            let metadata = open(&file).metadata().clone();
+            let messages = mcap::MessageStream::new(&file).unwrap().map(Result::unwrap);
+            streams.push((metadata, messages.collect::<Vec<_>>()));
+        }
+        for seed in seeds("URG_STREAMS", 60) {
+            let mut random = Random::new(seed);
+            let mut writer = mcap::Writer::new(Cursor::new(Vec::new())).unwrap();
+            for _ in 0..random.below(20) {
+                let (metadata, messages) = random.pick(&streams);
+                if random.once_in(4) {
+                    let (name, metadata) = ("tokio_scip".to_owned(), metadata.clone());
+                    writer.write_metadata(&mcap::records::Metadata { name, metadata }).unwrap();
+                } else {
+                    writer.write(random.pick(messages)).unwrap();
+                }
+            }
+            writer.finish().unwrap();
+            let file = writer.into_inner().into_inner();
+            let count = |file: &[u8]| open(file).scans().filter(Result::is_ok).count() as u64;
+            let mut copy = Vec::new();
+            let told = repair(Cursor::new(file.clone()), &mut copy).unwrap().scans;
+            assert_eq!((told, count(&copy)), (count(&file), count(&file)), "{model:?}, {seed}");
+        }
+    }
+}
+
+/// A copy repeats the last reply to `PP` before a part, unless another sensor was described since.
+#[tokio::test(start_paused = true)]
+async fn a_part_has_the_sensor_that_was_described_last() {
+    let (stream, has) =
+        ((Window::DETECTION, Rate::hz(10.0)), Has { replies: true, metadata: true });
+    let (other, _) = recorded(Model::Utm30lx, has, stream, 1).await;
+    let sink = Sink::new();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let builder = Sensor::builder().on_reply(recorder.observer());
+    let sensor = builder.connect(sensor_model(Model::Ust10lx)).await.unwrap();
+    // The sensor is asked for a window that holds both.
+    let _wider = sensor.scans(window_of(200, 400, 1), Rate::UNLIMITED).await.unwrap();
+    let mut scans = sensor.scans(window_of(300, 320, 1), Rate::UNLIMITED).await.unwrap();
+    recorder.describe(&sensor, &scans).await.unwrap();
+    next(&mut recorder, &mut scans, 40).await;
+    recorder.finish().await.unwrap();
+    let file = sink.bytes();
+    let messages = |file| mcap::MessageStream::new(file).unwrap().map(Result::unwrap);
+    let asks_sensor = |message: &mcap::Message<'_>| {
+        message.channel.topic == "/scip/replies" && message.data[12..].starts_with(b"PP")
+    };
+    let mut writer = mcap::Writer::new(Cursor::new(Vec::new())).unwrap();
+    let reply = messages(&other).find(asks_sensor).unwrap();
+    writer.write(&reply).unwrap();
+    let (name, metadata) = ("tokio_scip".to_owned(), sink.open().metadata().clone());
+    writer.write_metadata(&mcap::records::Metadata { name, metadata }).unwrap();
+    let rest = messages(&file).filter(|message| !asks_sensor(message));
+    rest.for_each(|message| writer.write(&message).unwrap());
+    writer.finish().unwrap();
+    let joined = writer.into_inner().into_inner();
+    let range = Duration::from_millis(300)..;
+    let expected: Vec<_> = open(&joined).range(range.clone()).scans().map(Result::unwrap).collect();
+    let mut part = Vec::new();
+    let copied = cut([Cursor::new(joined)], range, None, &mut part).unwrap();
+    assert_eq!(copied.scans, expected.len() as u64);
+    let told = |scan: &Scan| (scan.geometry().clone(), bits(scan));
+    assert!(expected.len() > 10 && read(&part).iter().map(told).eq(expected.iter().map(told)));
+}
+
 /// A message does not tell how many steps its last point has.
 #[tokio::test(start_paused = true)]
 async fn a_later_description_tells_the_last_step() {
