@@ -119,7 +119,7 @@ impl Recording {
             match recording.advance() {
                 None => break,
                 Some(Ok(item)) => {
-                    messages += usize::from(matches!(item, Some(Item::Record(_))));
+                    messages += usize::from(!matches!(item, None | Some(Item::Description(_))));
                     recording.ahead.extend(item.map(Ok));
                 }
                 Some(Err(error @ RecordingError::Damaged { .. })) => {

@@ -637,12 +637,28 @@ fn a_damaged_summary_defines_no_topic() {
     // With a field of a later version, and a damaged topic.
     let summary = [of_kind(0x0f, &[0; 5]), of_kind(0x04, &channel_content(1, "/sc?p/events"))];
     let rest = [of_kind(0x04, &channel_content(2, "")), b"\0".to_vec(), end()[13..].to_vec()];
-    let file = [MAGIC, &data, &summary.concat(), &rest.concat()].concat();
-    let mut out = Vec::new();
-    assert!(repair(Cursor::new(file), &mut out).unwrap().damaged_parts > 0);
-    let summary = mcap::Summary::read(&out).unwrap().unwrap();
-    let topics: Vec<_> = summary.channels.values().map(|channel| &channel.topic[..]).collect();
-    assert_eq!(topics, ["/scip/events"]);
+    // A message of no channel proves no definition before it.
+    for messages in [Vec::new(), event(9).repeat(3)] {
+        let file = [MAGIC, &data, &summary.concat(), &messages, &rest.concat()].concat();
+        let mut out = Vec::new();
+        assert!(repair(Cursor::new(file), &mut out).unwrap().damaged_parts > 0);
+        let summary = mcap::Summary::read(&out).unwrap().unwrap();
+        let topics: Vec<_> = summary.channels.values().map(|channel| &channel.topic[..]).collect();
+        assert_eq!(topics, ["/scip/events"]);
+    }
+}
+
+/// A record that looks like the end of the data was none if a message follows.
+#[test]
+fn a_message_proves_the_definitions_before_it() {
+    let later = [of_kind(0x0f, &[0; 5]), of_kind(0x04, &channel_content(1, "/later"))].concat();
+    for number in [0, 1] {
+        let file = [MAGIC, &channel(), &event(0), &later, &event(number), &end()].concat();
+        let mut out = Vec::new();
+        assert_eq!(repair(Cursor::new(file), &mut out).unwrap().messages, 2);
+        let channels = mcap::Summary::read(&out).unwrap().unwrap().channels;
+        assert!(channels.values().any(|channel| channel.topic == "/later"), "{number}");
+    }
 }
 
 #[test]

@@ -121,6 +121,21 @@ fn metadata_is_known_at_once_near_the_start() {
     }
 }
 
+#[test]
+fn the_search_for_metadata_ends_after_256_messages_or_damages() {
+    let mut damaged = chunk_of(&event(0));
+    // The checksum.
+    damaged[33] = 1;
+    for part in [event(0), other_message(1), damaged] {
+        for (count, is_known) in [(255, true), (256, false)] {
+            let start = [MAGIC, &channel(), &other_channel(), &part.repeat(count)].concat();
+            let file = [start, metadata(), event(0)].concat();
+            let recording = Recording::read(io::Cursor::new(file)).unwrap();
+            assert_eq!(recording.rate().is_some(), is_known, "{count} of {part:?}");
+        }
+    }
+}
+
 /// Metadata of long names: the index repeats the name.
 #[test]
 fn a_copy_of_100_mb_of_names_takes_64_mib() {

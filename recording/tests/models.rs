@@ -253,6 +253,20 @@ async fn scans_of_one_log_time_are_read_once() {
     }
 }
 
+#[tokio::test(start_paused = true)]
+async fn a_replay_has_the_version_of_each_model() {
+    for model in MODELS {
+        let sensor = Sensor::builder().connect(sensor_model(model)).await.unwrap();
+        let version = sensor.version().await.unwrap();
+        let has = Has { replies: true, metadata: true };
+        let (file, _) = recorded(model, has, (Window::DETECTION, Rate::hz(10.0)), 2).await;
+        let replay = open(&file).replay(ReplayPace::Max).unwrap();
+        let sensor = Sensor::builder().connect(replay).await.unwrap();
+        let replayed = sensor.version().await.unwrap();
+        assert_eq!(format!("{replayed:?}"), format!("{version:?}"), "{model:?}");
+    }
+}
+
 /// Metadata and messages of two streams in any order: a copy counts what a reader of it finds.
 #[tokio::test(start_paused = true)]
 async fn a_copy_counts_the_scans_of_any_stream() {
@@ -323,7 +337,7 @@ async fn a_part_has_the_sensor_that_was_described_last() {
     let mut part = Vec::new();
     let copied = cut([Cursor::new(joined)], range, None, &mut part).unwrap();
     assert_eq!(copied.scans, expected.len() as u64);
-    let told = |scan: &Scan| (scan.geometry().clone(), bits(scan));
+    let told = |scan: &Scan| (*scan.geometry(), bits(scan));
     assert!(expected.len() > 10 && read(&part).iter().map(told).eq(expected.iter().map(told)));
 }
 

@@ -58,7 +58,6 @@ impl Definitions {
         };
         for (key, content) in self.doubted.take_if(is_defined).into_iter().flatten() {
             self.bytes -= self.contents.insert(key, content).map_or(0, |known| known.len());
-            self.written.clear();
         }
         self.contents.contains_key(&channel)
     }
