@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use futures::FutureExt;
-use tokio::time::{Instant, sleep};
+use tokio::time::{Instant, sleep, timeout};
 use tokio_scip::protocol::scip2::Command;
 use tokio_scip::{Rate, Scan, ScanStream, State, Window};
 use urg_emulator::{Emulator, Fault, Faults, Model, Values, WorldTime};
@@ -414,5 +414,21 @@ async fn clusters_are_cut_from_a_stream_as_the_sensor_makes_them() {
         let (own, asked) = (clustered(model, true).await, clustered(model, false).await);
         assert_eq!(own.len(), 29);
         assert!(own.raw_values().eq(asked.raw_values()), "{model:?} {own:?} {asked:?}");
+    }
+}
+
+/// Its clock is set back again and again, and reads 0.
+#[tokio::test(start_paused = true)]
+async fn scans_of_a_clock_that_stands_still_arrive() {
+    for rate in [0.3, 1.0, 3.0, 10.0] {
+        let emulator = numbered(Model::Urg04lxUg01).revolution(Duration::from_millis(110));
+        let emulator = emulator.faults(Faults::none().every(Fault::ClockJump(-5000))).build();
+        let sensor = builder().connect(emulator).await.unwrap();
+        let mut stream = sensor.scans(Window::DETECTION, Rate::hz(rate)).await.unwrap();
+        for _ in 0..10 {
+            let within = Duration::from_secs_f64(4.0 / rate);
+            let scan = timeout(within, next(&mut stream)).await;
+            assert!(scan.is_ok(), "{rate} Hz");
+        }
     }
 }

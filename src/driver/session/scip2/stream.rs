@@ -173,9 +173,11 @@ impl Scip2<'_> {
                     return Poll::Ready(Ok(()));
                 }
             };
+            let was_copied = self.state.was_copied;
             self.state.take_unasked(&received, baud_rate, &self.line.observers, &self.line.shared);
             drop(received);
-            if self.state.waiting.len() > before {
+            // What looks like a copy shows, too, that the sensor sends: its clock may stand still.
+            if self.state.waiting.len() > before || self.state.was_copied && !was_copied {
                 self.expect_scan();
             } else {
                 self.line.transport.begin_frame()?;
