@@ -199,8 +199,7 @@ impl EmulatorBuilder {
         self
     }
 
-    /// Sets a delay of the first byte of each reply, in addition to the pace. Default:
-    /// zero.
+    /// Sets a delay of the first byte of each reply, in addition to the pace. Default: zero.
     pub fn latency(mut self, latency: Duration) -> Self {
         self.timing.latency = latency.min(LONGEST);
         self
@@ -213,8 +212,7 @@ impl EmulatorBuilder {
         self
     }
 
-    /// Sets whether the sensor sends one byte 0x00 when its baud rate has changed.
-    /// Default: true.
+    /// Sets whether the sensor sends one byte 0x00 when its baud rate has changed. Default: true.
     pub fn stray_byte(mut self, stray_byte: bool) -> Self {
         self.timing.omits_stray_byte = !stray_byte;
         self

@@ -1,5 +1,4 @@
-//! [`Motor`]: when the revolutions of the emulated sensor end. Its period may drift, and
-//! its phase may jump.
+//! [`Motor`]: when the emulated sensor's revolutions end. Its period may drift, its phase jump.
 
 use std::time::Duration;
 

@@ -267,32 +267,6 @@ async fn a_replay_has_the_version_of_each_model() {
     }
 }
 
-#[tokio::test(start_paused = true)]
-async fn the_first_16_frames_and_serial_numbers_are_named() {
-    let (stream, has) =
-        ((Window::DETECTION, Rate::hz(10.0)), Has { replies: false, metadata: true });
-    let (file, _) = recorded(Model::Urg04lx, has, stream, 1).await;
-    let messages = mcap::MessageStream::new(&file).unwrap().map(Result::unwrap);
-    let mut message = messages.into_iter().find(|one| one.channel.topic == "/scan").unwrap();
-    let mut writer = mcap::Writer::new(Cursor::new(Vec::new())).unwrap();
-    for letter in b'a'..=b't' {
-        let (name, mut metadata) = ("tokio_scip".to_owned(), open(&file).metadata().clone());
-        metadata.insert("serial_number".to_owned(), char::from(letter).to_string());
-        writer.write_metadata(&mcap::records::Metadata { name, metadata }).unwrap();
-        let mut data = message.data.to_vec();
-        // After the header of CDR, the stamp, and the length of the frame's name.
-        data[16] = letter;
-        message.data = data.into();
-        writer.write(&message).unwrap();
-    }
-    writer.finish().unwrap();
-    let mut scans = open(&writer.into_inner().into_inner()).scans();
-    assert_eq!(scans.by_ref().filter(Result::is_ok).count(), 20);
-    let letters: Vec<_> = ('a'..='p').map(String::from).collect();
-    assert!(scans.serial_numbers().iter().eq(&letters));
-    assert!(scans.frame_ids().iter().map(|name| &name[..1]).eq(&letters));
-}
-
 /// Metadata and messages of two streams in any order: a copy counts what a reader of it finds.
 #[tokio::test(start_paused = true)]
 async fn a_copy_counts_the_scans_of_any_stream() {

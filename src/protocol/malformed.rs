@@ -64,8 +64,7 @@ pub enum MalformedError {
     /// It ends after its echo.
     #[error("expected a status after the echo, found the end of the reply")]
     NoStatus,
-    /// Its status line is not exactly one printable character, or in SCIP 2 not two characters and
-    /// their sum.
+    /// Its status line is not one printable character, or in SCIP 2 not two and their sum.
     #[error("expected a status, found \"{found}\"")]
     Status {
         /// Status line.
@@ -124,8 +123,7 @@ pub enum MalformedError {
     /// A reply of SCIP 2 has another fault.
     #[error("expected {expected} in {}, found {found}", place(line))]
     Scip2 {
-        /// Number of the line after the status, from 0. `None` if the fault is in the status, or if a
-        /// line is missing.
+        /// Number of the line after the status, from 0. `None` if the status is wrong, or a line missing.
         line: Option<usize>,
         /// What was expected there.
         expected: String,

@@ -83,8 +83,7 @@ impl Reply {
             .map_or_else(|| Self::parse(command, frame), Ok)
     }
 
-    /// Values of a successful `G`, 0..=4095 each, in the order of their steps. Empty for any
-    /// other reply.
+    /// Values of a successful `G`, 0..=4095 each, by step. Empty for any other reply.
     pub fn values(&self) -> &[u16] {
         &self.values
     }

@@ -4,9 +4,8 @@ use std::ops::RangeInclusive;
 
 use super::Text;
 
-/// Reply to `V` (C-42-3320-A p. 4) or to `VV` of SCIP 2, parsed tolerantly. Fields may come in any order, with
-/// or without a blank after the colon. Missing fields stay empty, and unknown lines are
-/// kept.
+/// Reply to `V` (C-42-3320-A p. 4) or to `VV` of SCIP 2, parsed tolerantly. Fields may come in any
+/// order, with or without a blank after the colon. Missing ones are empty, unknown lines kept.
 ///
 /// As data (feature `serde`) it has its fields by name, and a
 /// [range](std::ops::RangeInclusive) as `start` and `end`.

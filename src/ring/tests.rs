@@ -1,8 +1,7 @@
 //! Histories of a ring, all short ones and random long ones, compared with readers that each have a
 //! queue of their own.
 //!
-//! Each call takes the lock once, apart from waking tasks: so threads, too, can only make the calls in
-//! some order.
+//! Each call takes the lock once, apart from waking tasks: so threads, too, make calls in some order.
 
 use std::cell::Cell;
 use std::collections::VecDeque;

@@ -31,8 +31,7 @@ impl Ray {
     }
 }
 
-/// Point in the sensor's frame, or after [`Pose::transform_scan`](super::Pose::transform_scan)
-/// in another one.
+/// Point in the sensor's frame, or in that of [`Pose::transform_scan`](super::Pose::transform_scan).
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct Point {

@@ -14,8 +14,7 @@ use crate::protocol::{Geometry, Measurement, Window};
 /// of the same names, in the same units: radians, metres, and a `Duration` for times. The frame is
 /// the sensor's: x forward, y to the left, angles counter-clockwise from the front (REP 103).
 ///
-/// `==` compares geometries, windows, values, numbers and stamps, but no [`Instant`], which is a time
-/// of this process.
+/// `==` compares geometries, windows, values, numbers and stamps, but no [`Instant`].
 ///
 /// The driver makes scans. To test a function that takes a `&Scan`, make one from any values
 /// with [`Scan::builder`].

@@ -38,9 +38,8 @@ pub struct ScanTimes {
     /// the motor's revolution was over by then. The time can jump back when someone sets the
     /// system's clock.
     ///
-    /// Uses the system's clock even where you pause tokio's. In such a test only the fields of type
-    /// `Instant` and [`Scan::received_at`] follow the test's time. A replay has the stamps of its
-    /// recording.
+    /// Uses the system's clock even where you pause tokio's: only the fields of type `Instant` and
+    /// [`Scan::received_at`] follow a test's time. A replay has the stamps of its recording.
     pub stamp: SystemTime,
     /// What `first_ray_at` and [`Scan::first_ray_stamp`] are based on.
     pub quality: StampQuality,
@@ -129,8 +128,7 @@ impl Scan {
         self.meta.scan_time
     }
 
-    /// Postpones the first ray until `earliest` or later, and returns its time. The stamps then rest
-    /// on no motor.
+    /// Postpones the first ray until `earliest` or later, and returns its time: no motor shows that.
     #[cold]
     pub(crate) fn postpone(&mut self, earliest: Instant) -> Instant {
         self.meta.lateness = None;

@@ -114,8 +114,7 @@ impl SensorBuilder {
         self
     }
 
-    /// Sets whether your service can start before its sensor. Default: `false`, opening fails if there
-    /// is none.
+    /// Sets whether your service can start before its sensor. Default: `false`, then opening fails.
     ///
     /// With `true`, opening returns at once, and the driver waits in the background, without a time
     /// limit, until the port exists and is free and the sensor answers. Streams begin with its first
@@ -240,8 +239,7 @@ impl SensorBuilder {
         self
     }
 
-    /// Opens `endpoint`, with the errors and the panic of [`Sensor::open`]. Dropping this future closes
-    /// the port.
+    /// Opens `endpoint`, as [`Sensor::open`] does. Dropping this future closes the port.
     pub async fn open<E>(self, endpoint: E) -> Result<Sensor, Error>
     where
         E: TryInto<Endpoint>,

@@ -115,8 +115,7 @@ pub struct MotorStats {
     /// Duration of a revolution.
     #[cfg_attr(feature = "serde", serde(serialize_with = "seconds"))]
     pub revolution: Duration,
-    /// Number of times that the phase of the motor, or in SCIP 2 the sensor's clock, jumped since the
-    /// link was found.
+    /// How often the motor's phase, or in SCIP 2 the sensor's clock, jumped since the link was found.
     pub jumps: u64,
     /// How much faster the sensor's clock runs than this computer's, in parts per million. `None` in
     /// SCIP 1.1, which does not send it.

@@ -11,7 +11,7 @@ use tokio::io::AsyncWriteExt;
 use tokio::time::{Instant, sleep, timeout};
 use tokio_scip::protocol::Protocol;
 use tokio_scip::{Rate, Scan, ScanStream, Sensor, Window};
-use urg_emulator::{Emulator, Fault, Faults, Firmware, Model, Values, WorldTime};
+use urg_emulator::{Emulator, Fault, Faults, Firmware, Model, Quirk, Values, WorldTime};
 
 use crate::common::builder;
 use crate::common::limit::limit;
@@ -44,7 +44,7 @@ fn number(scan: &Scan, seed: u64) -> u64 {
 }
 
 /// Sensor that shows the number of each revolution, counted over all power-ups.
-fn counting(model: Model, revolution: Duration) -> Emulator {
+fn counting(model: Model, revolution: Duration, has_labels: bool) -> Emulator {
     let (mut before, mut powered_at) = (0, None);
     let world = move |time: WorldTime, values: &mut Values| {
         // To within a revolution.
@@ -58,7 +58,8 @@ fn counting(model: Model, revolution: Duration) -> Emulator {
         }
     };
     let builder = Emulator::builder().model(model).world(world);
-    builder.firmware(Firmware::V31).revolution(revolution).build()
+    let builder = builder.firmware(Firmware::V31).revolution(revolution);
+    if has_labels { builder.build() } else { builder.quirk(Quirk::NoLabels).build() }
 }
 
 /// A stream, and what it delivered last.
@@ -102,7 +103,8 @@ async fn play(seed: u64) {
     let mut random = Random::new(seed);
     let (model, told) = *random.pick(&MODELS);
     let per_mille = if random.once_in(2) { 870 + random.below(261) as u32 } else { 1000 };
-    let emulator = counting(model, Duration::from_micros((told * per_mille).into()));
+    let revolution = Duration::from_micros((told * per_mille).into());
+    let emulator = counting(model, revolution, random.below(3) > 0);
     // A URG-04LX begins in SCIP 1.1, which has no sums.
     let waiting = builder().depth(1000).wait_for_sensor(true).protocol(Protocol::Scip2);
     let sensor: Sensor = waiting.connect(emulator.clone()).await.unwrap();

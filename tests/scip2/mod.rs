@@ -3,6 +3,7 @@
 mod disturbances;
 mod histories;
 mod intensities;
+mod labels;
 mod network;
 mod reboot;
 mod refusals;

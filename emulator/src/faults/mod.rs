@@ -127,8 +127,7 @@ impl Faults {
         self
     }
 
-    /// Adds a fault of every reply. `Faults::none().every(Fault::Lost)` makes the sensor
-    /// silent.
+    /// Adds a fault of every reply. `Faults::none().every(Fault::Lost)` makes the sensor silent.
     #[must_use]
     pub fn every(mut self, fault: Fault) -> Self {
         self.scripted.push((Trigger::EveryReply, fault));

@@ -15,8 +15,7 @@ const LAST_POSITION: usize = 1599;
 /// More bytes than any burst of noise on a line.
 const MAX_NOISE_BYTES: usize = 65_536;
 
-/// Parse error of [`Faults`]: which part is wrong, what was expected there and what was
-/// found.
+/// Parse error of [`Faults`]: which part is wrong, what was expected there and what was found.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("invalid fault `{part}`: {reason}")]
 pub struct FaultsError {

@@ -34,6 +34,8 @@ pub enum Quirk {
     ShortStateSums,
     /// `TM1` is answered when the clock reaches a multiple of 5 ms: as of a UST with firmware 4.0.2.
     ClockTicks,
+    /// Replies do not repeat the text of their command: as of devices of other makers.
+    NoLabels,
 }
 
 /// State of a sensor in SCIP 2.
@@ -94,8 +96,12 @@ impl Session {
         times: Times,
         measure: Measure<'_>,
     ) -> Answer {
-        let line = &arrived.bytes[..];
-        let command = match Command::parse(line, arrived.too_long, body) {
+        let mut line = &arrived.bytes[..];
+        let parsed = Command::parse(line, arrived.too_long, body);
+        if self.quirks.contains(&Quirk::NoLabels) {
+            line = line.split(|&byte| byte == b';').next().unwrap_or_default();
+        }
+        let command = match parsed {
             Err(refusal) => return status(line, refusal),
             Ok(_) if arrived.repeated => return status(line, b"0B"),
             Ok(command) => command,

@@ -1,5 +1,4 @@
-//! Serves an emulated sensor on any `AsyncRead + AsyncWrite`, on TCP, and on a
-//! pseudo-terminal.
+//! Serves an emulated sensor on any `AsyncRead + AsyncWrite`, on TCP, and on a pseudo-terminal.
 
 #[cfg(all(unix, feature = "pty"))]
 mod pty;

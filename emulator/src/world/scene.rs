@@ -1,5 +1,4 @@
-//! [`Scene`]: surroundings put together from walls, discs and people, for tests of a
-//! service.
+//! [`Scene`]: surroundings put together from walls, discs and people, for tests of a service.
 
 use std::time::Duration;
 

@@ -73,8 +73,7 @@ impl Walk {
         self.at(time).map(|Stride { position: (x, y), .. }| (x / 1000.0, y / 1000.0))
     }
 
-    /// Point of the walk at `time` after power-up, or `None` before its start and after
-    /// its end.
+    /// Point of the walk at `time` after power-up, or `None` before its start and after its end.
     pub(super) fn at(&self, time: Duration) -> Option<Stride> {
         let since = time.checked_sub(self.starts_at)?;
         if !self.repeats && since > self.duration() {

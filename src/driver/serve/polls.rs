@@ -121,9 +121,8 @@ impl Service<'_> {
         ExchangeError::Command(kind)
     }
 
-    /// Handles the failure of a poll. If the sensor refused because its laser is off, and this
-    /// driver did not switch it off, switches it on and polls once more. Otherwise records why there
-    /// is no scan.
+    /// Handles the failure of a poll. If the sensor's laser is off, and this driver did not switch it
+    /// off, switches it on and polls once more. Otherwise records why there is no scan.
     async fn poll_again(
         &mut self,
         session: &mut Session,

@@ -156,8 +156,7 @@ impl Stream {
         }
     }
 
-    /// Asks for times in us, by `%MD` or `%ME`. A UST with firmware 4.1, or 1.1 and later; others
-    /// refuse them.
+    /// Asks for times in us, by `%MD` or `%ME`: of a UST with firmware 4.1, or 1.1 and later.
     pub const fn in_microseconds(self) -> Self {
         Self { in_microseconds: true, ..self }
     }

@@ -29,8 +29,7 @@
 //! Each line after the echo ends with the low six bits of its sum. In a scan no single flipped bit
 //! passes. But **two neighbours swapped always pass**, 2.2 % of two flipped bits do, and 0.09 % of two
 //! random characters (3,872 lines of real sensors). In the texts of `VV`, `PP` and `II` bit 6 of a
-//! character can change unseen if both are printable: `H0706400` into `Hp706400`. Numbers of `PP` and
-//! statuses cannot.
+//! character can change unseen, `H0706400` into `Hp706400`, but not in a status or a number of `PP`.
 //!
 //! The echo has no sum, so it must equal the request. Only the number of scans left, in the echo of a
 //! [`Stream`] with an end, can change unseen. `II` may leave the text after `<-` out of its sums, and

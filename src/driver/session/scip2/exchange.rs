@@ -90,6 +90,8 @@ impl Scip2<'_> {
             let received = self.line.transport.next_frame().await;
             let received = received.map_err(|failure| match (failure, unlabelled.take()) {
                 (NoFrame::Late { .. }, Some(error)) => {
+                    // It may be an older reply, but in this session none had a label.
+                    self.state.has_labels.get_or_insert(false);
                     record_malformed(&self.line.shared, &command, error, 0)
                 }
                 (failure, _) => record_silence(&self.line.shared, &command, failure),
@@ -110,6 +112,7 @@ impl Scip2<'_> {
             };
             let answered = (!is_probe).then_some((*request, times));
             self.line.observers.pass(|| raw_reply(all, answered, received.times));
+            self.state.has_labels.get_or_insert(true);
             let (reply, wire_len) = (Reply::parse(request, bytes), received.wire_len());
             let is_identity = matches!(command, Command::Version | Command::Parameters);
             let frame = if is_identity { bytes.to_vec() } else { Vec::new() };
@@ -155,8 +158,7 @@ impl Scip2<'_> {
     }
 }
 
-/// Returns true if a frame begins like the scans of a stream. A late reply to this session begins with
-/// another command.
+/// Returns true if a frame begins like the scans of a stream, and unlike a late reply.
 pub(super) fn is_like_a_stream(frame: &[u8]) -> bool {
     matches!(frame.first(), Some(b'M' | b'N'))
 }
@@ -185,6 +187,11 @@ pub(super) fn find_own<'a>(
     baud_rate: Option<BaudRate>,
 ) -> Option<(&'a [u8], ReplyTimes)> {
     let echo = request.bytes();
+    if !echo.contains(&b';') {
+        // Too short to be found within a frame.
+        let is_own = frame.strip_prefix(echo).is_some_and(|rest| rest.starts_with(b"\n"));
+        return is_own.then_some((frame, *times));
+    }
     // All replies to a stream begin alike.
     let is_alone = request.reply_len().is_none_or(|len| frame.len() < len);
     if is_alone && frame.starts_with(echo) {

@@ -1,5 +1,6 @@
 //! SCIP 2: each request has a label of its own, which its reply echoes. A frame with another is older,
-//! such as an answer that a UST repeats after the next request (acfr/snark 325b2fa1): it is dropped.
+//! such as an answer that a UST repeats after the next request (acfr/snark 325b2fa1): it is dropped. A
+//! sensor that echoes no label is asked without.
 //!
 //! The driver asks for the newest scan each time (`GD`), or once for every scan (`MD`, in `stream`).
 //! `exchange` sends one request and waits for its reply.
@@ -43,6 +44,8 @@ const ENTRIES: usize = 4;
 pub(super) struct State {
     /// Number of the latest label.
     label: u64,
+    /// True if the sensor repeats labels, once it has answered.
+    has_labels: Option<bool>,
     /// True if the sensor may send a stream that belongs to no request of this session: another
     /// program may have left it.
     has_stray_frames: bool,
@@ -71,6 +74,7 @@ impl State {
         Self {
             // Random, so that no reply to an earlier process matches a request.
             label: fastrand::u64(..),
+            has_labels: None,
             has_stray_frames: false,
             keeps_laser: None,
             one_step: None,
@@ -85,10 +89,10 @@ impl State {
         }
     }
 
-    /// Returns a label unlike the ones before.
-    fn next_label(&mut self) -> Label {
+    /// Returns a label unlike the ones before, unless the sensor repeats none.
+    fn next_label(&mut self) -> Option<Label> {
         self.label = self.label.wrapping_add(1);
-        Label::numbered(self.label)
+        (self.has_labels != Some(false)).then(|| Label::numbered(self.label))
     }
 }
 
@@ -314,6 +318,10 @@ impl Scip2<'_> {
             return self.acquire_streamed(wish).await;
         }
         self.stop_stray().await?;
+        if self.state.has_labels == Some(false) && !self.line.is_settled {
+            // An older reply would pass for the newest scan.
+            self.probe().await?;
+        }
         if self.state.keeps_laser.is_none() {
             self.switch_on().await?;
         }
