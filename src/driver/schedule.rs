@@ -13,8 +13,8 @@ use crate::state::Shared;
 use crate::stats::ScheduleStats;
 use crate::{BaudRate, Error, ErrorKind, Geometry, Rate, Window};
 
-/// Largest number of scans that a stream can leave out after each one.
-const MOST_SKIPPED: u8 = 9;
+/// Most revolutions from one scan of a stream to the next.
+const MOST_TURNS: u8 = 10;
 
 /// All schedules of a driver, whose statistics they publish.
 #[derive(Debug)]
@@ -113,7 +113,9 @@ impl Schedules {
 
     /// Stream that serves all schedules which are not too slow for one, if there are any.
     pub(crate) fn stream(&self, revolution: Duration) -> Option<StreamWish> {
-        let skipped = self.all.iter().filter_map(|schedule| schedule.skipped(revolution)).min()?;
+        let turns = self.all.iter().filter_map(|schedule| schedule.turns(revolution)).min()?;
+        let is_dense = |turns: &u8| self.all.iter().all(|one| one.is_served(revolution, *turns));
+        let skipped = (1..=turns).rev().find(is_dense).map_or(0, |turns| turns - 1);
         // The slow ones can take their scans from it, too.
         let measured = self.all.iter().filter(|schedule| schedule.is_measured);
         let window = measured.map(|schedule| schedule.stats.window);
@@ -123,7 +125,7 @@ impl Schedules {
     /// Serves the schedules from the stream.
     pub(crate) fn begin_stream(&mut self, revolution: Duration) {
         for schedule in &mut self.all {
-            schedule.is_streamed = schedule.skipped(revolution).is_some();
+            schedule.is_streamed = schedule.turns(revolution).is_some();
         }
     }
 
@@ -286,14 +288,22 @@ impl Schedule {
         }
     }
 
-    /// Number of scans that a stream may leave out after each one, and still serve this schedule.
-    /// `None` if it is too slow for a stream, or cannot be served at all.
-    fn skipped(&self, revolution: Duration) -> Option<u8> {
+    /// Number of revolutions in a period. `None` if it is too slow for a stream, or cannot be served at all.
+    fn turns(&self, revolution: Duration) -> Option<u8> {
         let period = self.stats.rate.period().unwrap_or_default();
         // To within a twentieth, so that no rounding halves the rate.
         let turns = (period + revolution / 20).as_nanos() / revolution.as_nanos().max(1);
-        let skipped = u8::try_from(turns).ok()?.saturating_sub(1);
-        (self.is_measured && skipped <= MOST_SKIPPED).then_some(skipped)
+        u8::try_from(turns).ok().filter(|turns| self.is_measured && *turns <= MOST_TURNS)
+    }
+
+    /// Returns true if a scan of every so many revolutions is enough: the period is a multiple of these,
+    /// or a scan is never further from its time than an eighth of it.
+    fn is_served(&self, revolution: Duration, turns: u8) -> bool {
+        let period = self.stats.rate.period().unwrap_or_default();
+        let (apart, shorter) = (revolution * turns.into(), revolution / 20);
+        let over = || (period + shorter).as_nanos() % apart.as_nanos().max(1);
+        let is_multiple = || over() <= (shorter + period / 100).as_nanos();
+        turns == 1 || self.turns(revolution).is_none() || period >= 4 * apart || is_multiple()
     }
 
     fn poll(&self, skipped: u64) -> DuePoll {

@@ -105,8 +105,7 @@ impl Window {
     /// polls cannot differ, a safeguard less against a reply that a faulty line delivers twice.
     pub const FULL: Self = Self { wish: Wish::Answered, ..Self::from_steps(0, LAST) };
 
-    /// All that the sensor measures. For a URG-04LX: steps 44..=725, -119.53 to +119.88 degrees, 682
-    /// points.
+    /// All that the sensor measures. For a URG-04LX: steps 44..=725, -119.53 to +119.88 degrees.
     pub const DETECTION: Self = Self { wish: Wish::All, ..Self::from_steps(44, 725) };
 
     const fn from_steps(start: u16, end: u16) -> Self {

@@ -118,9 +118,8 @@ impl ScanBuilder {
     ///
     /// # Errors
     ///
-    /// [`ScanError`] if you did not pass one value for each point of the window (and as many
-    /// intensities, if any), if a value is above 4095 (SCIP 2: 262143), or if the sensor does not
-    /// measure the window.
+    /// [`ScanError`] if you did not pass one value for each point (and as many intensities, if any), if
+    /// one is above 4095 (SCIP 2: 262143), or if the sensor does not measure the window.
     pub fn build(self) -> Result<Scan, ScanError> {
         let Self { window, mut values, intensities, meta } = self;
         let window = window.resolve(&meta.geometry)?;

@@ -122,8 +122,7 @@ impl Scan {
     }
 
     /// Time of one revolution of the motor: measured to 0.1 % while stamps rest on the motor or the
-    /// sensor's clock, otherwise the nominal time that the sensor tells, or 100 ms (600 rpm) if it
-    /// tells none.
+    /// sensor's clock, otherwise the nominal time that the sensor tells, or 100 ms.
     pub fn scan_time(&self) -> Duration {
         self.meta.scan_time
     }

@@ -27,8 +27,7 @@ use crate::{BaudRate, Error, Geometry, Rate, Scan, Window};
 /// # Cancel safety
 ///
 /// All futures of this type are cancel-safe. If you drop one before its request was written, the
-/// driver skips the request. After that the sensor carries it out, and the driver reads and drops
-/// the whole reply.
+/// driver skips the request. Later the sensor carries it out, and the driver drops the reply.
 ///
 /// # Errors
 ///

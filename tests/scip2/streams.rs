@@ -432,3 +432,40 @@ async fn scans_of_a_clock_that_stands_still_arrive() {
         }
     }
 }
+
+/// Seeds: `SCIP_RATES=200 cargo test --test it evenly`.
+#[test]
+fn scans_come_evenly_at_any_rate() {
+    for seed in crate::common::random::seeds("SCIP_RATES", 30) {
+        let mut runtime = tokio::runtime::Builder::new_current_thread();
+        runtime.enable_all().start_paused(true).build().unwrap().block_on(evenly(seed));
+    }
+}
+
+async fn evenly(seed: u64) {
+    let mut random = crate::common::random::Random::new(seed);
+    let (model, told) = *random.pick(&[(Model::Urg04lxUg01, 100_000), (Model::Ust10lx, 25_000)]);
+    let revolution = told * (997 + random.below(7)) / 1000;
+    let emulator = numbered(model).revolution(Duration::from_micros(revolution)).build();
+    let sensor = builder().depth(512).connect(emulator).await.unwrap();
+    let count = 1 + random.below(3);
+    let mut streams = Vec::new();
+    for _ in 0..count {
+        let turns = (100 + random.below(900)) as f64 / 100.0;
+        let rate = Rate::hz(1e6 / (turns * told as f64));
+        streams.push((turns, sensor.scans(Window::DETECTION, rate).await.unwrap()));
+    }
+    // The sensor's own period is known by then.
+    sleep(Duration::from_secs(20)).await;
+    for (turns, stream) in &mut streams {
+        let mut all = revolutions(stream, 150).await.into_iter().skip(100);
+        let mut latest = all.next().unwrap();
+        for now in all {
+            let off = (f64::from(now - latest) - *turns).abs();
+            // Several share the scans, so a period may be two of the sensor's.
+            let most = *turns / if count == 1 { 4.0 } else { 2.0 };
+            assert!(off <= most.max(1.0) + 0.1, "seed {seed}: {off} of {turns}, {model:?}");
+            latest = now;
+        }
+    }
+}

@@ -69,7 +69,7 @@ async fn stamps_rest_on_the_sensors_clock() {
 #[tokio::test(start_paused = true)]
 async fn a_motor_may_turn_at_another_speed_than_the_sensor_tells() {
     for (model, revolution, slow) in [
-        (Model::Utm30lx, Duration::from_millis(28), Rate::hz(8.0)),
+        (Model::Utm30lx, Duration::from_micros(28_010), Rate::hz(8.0)),
         (Model::Ust10lx, Duration::from_micros(22_300), Rate::hz(5.0)),
         (Model::Urg04lxUg01, Duration::from_micros(111_030), Rate::hz(1.0)),
     ] {

@@ -94,8 +94,7 @@ impl Service<'_> {
         outcome
     }
 
-    /// Changes the baud rate to one that a handle asked for while there was no link. No caller
-    /// waits for the outcome.
+    /// Changes the baud rate as a handle asked while there was no link. No caller waits for it.
     async fn apply_baud_rate(
         &mut self,
         session: &mut Session,

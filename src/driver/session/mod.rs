@@ -13,8 +13,7 @@
 //! | [`acquire`](Session::acquire) | the values answer this request |
 //! | [`state`](Session::state) | the reply answers this request |
 //!
-//! Below it, a protocol knows its commands, tells replies apart, and judges the bytes that nobody
-//! asked for.
+//! Below it, a protocol knows its commands, tells replies apart, and judges bytes that come unasked.
 
 mod baud_rate;
 mod errors;

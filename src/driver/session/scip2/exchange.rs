@@ -1,5 +1,4 @@
-//! One request and its reply: sends it, judges the frame that answers it, and drops the others but for
-//! scans of the stream.
+//! One request and its reply: sends it, judges the frame that answers it, and drops all but scans.
 
 use std::time::Duration;
 
