@@ -1,5 +1,4 @@
-//! Clean shutdown on Ctrl-C, the signals that end a program, a closed terminal, or Ctrl-Break on
-//! Windows.
+//! Clean shutdown on Ctrl-C (Windows: Ctrl-Break, too), signals, or a closed terminal.
 
 use std::io;
 use std::time::Duration;
@@ -13,7 +12,7 @@ use crate::failure::Failure;
 use crate::wait::wait_for_value;
 
 /// Time that an interrupted command has to finish.
-const COMMAND_GRACE: Duration = Duration::from_secs(1);
+pub(crate) const COMMAND_GRACE: Duration = Duration::from_secs(1);
 
 /// How a command ended.
 type Outcome = Result<(), Failure>;
@@ -24,8 +23,7 @@ pub(crate) struct Interrupt {
 }
 
 impl Interrupt {
-    /// Starts to listen for signals, without SIGUSR1 if that is a trigger. Must run inside a tokio
-    /// runtime.
+    /// Starts to listen for signals, without SIGUSR1 if that is a trigger. Needs a tokio runtime.
     pub(crate) fn listen(has_trigger: bool) -> io::Result<Self> {
         let (sender, since) = watch::channel(None);
         let signalled = signalled(has_trigger)?;

@@ -63,6 +63,7 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::{escaped, notice};
 use crate::output::stderr;
+use crate::port::open::close_all;
 use crate::record::Record;
 use crate::stream::command::Stream;
 #[cfg(feature = "view")]
@@ -191,6 +192,7 @@ fn run(cli: Cli) -> Result<(), Failure> {
         .build()
         .map_err(|error| Failure::new("cannot start", &error))?;
     let outcome = runtime.block_on(run_command(cli.command));
+    runtime.block_on(close_all());
     // Does not wait for a blocked write to a pipe.
     runtime.shutdown_background();
     outcome

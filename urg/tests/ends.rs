@@ -1,7 +1,7 @@
 //! The end of the program by a signal, by its options, or by a closed pipe.
 
-use std::io::{BufRead, BufReader, Write};
-use std::net::TcpListener;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
 use std::sync::mpsc::{Receiver, channel};
 
 use super::program::{Emulated, Running, Scratch, run};
@@ -64,6 +64,27 @@ fn a_full_pipe_loses_no_part_of_a_scan() {
     }
     let (status, notices) = stream.end();
     assert_eq!((status.code(), notices), (Some(0), vec![]));
+}
+
+/// It would send them to the next program, too.
+#[test]
+fn the_sensor_sends_no_scans_after_the_end() {
+    let sensor = Emulated::start("--model ust-10lx --tcp 0");
+    let address = sensor.port.strip_prefix("tcp://").unwrap().to_owned();
+    for options in ["", "--count 3"] {
+        let mut stream = Running::start(&format!("stream {} {options}", sensor.port));
+        if options.is_empty() {
+            stream.line();
+            stream.signal("INT");
+        }
+        stream.rest();
+        assert_eq!(stream.end().0.code(), Some(0));
+        let mut client = TcpStream::connect(&address).unwrap();
+        client.write_all(b"%ST\n").unwrap();
+        let mut reply = [0; 13];
+        client.read_exact(&mut reply).unwrap();
+        assert_eq!(String::from_utf8_lossy(&reply), "%ST\n00P\n000@\n", "{options}");
+    }
 }
 
 #[test]

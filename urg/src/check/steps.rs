@@ -32,8 +32,7 @@ pub(crate) async fn version(sensor: &Sensor) -> Finding {
     }
 }
 
-/// Judges what a sensor says of itself. SCIP 1.1 tells in the version whether it works, SCIP 2 in the
-/// state.
+/// Judges what a sensor says of itself: whether it works, in its version or (SCIP 2) its state.
 fn identity(version: &Version, state: Option<&State>) -> Finding {
     /// Parts of what sensors that work say. Others say `Trouble!! Error No. =[00->33]`.
     const WORKS: [&str; 4] = ["Normal", "works well", "is working", "no error"];

@@ -1,5 +1,4 @@
-//! `urg cut`: copies a part of a recording, or joins the files of a split recording. Times
-//! stay as recorded.
+//! `urg cut`: copies a part of a recording, or joins its files. Times stay as recorded.
 
 use std::io::Write;
 use std::path::PathBuf;

@@ -1,5 +1,4 @@
-//! Standard error, written by a separate thread, so that a slow reader or a stopped terminal
-//! blocks nothing else.
+//! Standard error, written by a thread of its own: a slow reader or a stopped terminal blocks no other.
 
 use std::io::{self, IsTerminal, Write};
 use std::sync::LazyLock;

@@ -13,8 +13,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tokio_scip::{Geometry, Point, Scan, Window};
 
-/// Radii in metres of pictures that show less than the sensor can measure. A URG-04LX is always shown
-/// whole.
+/// Radii in metres of pictures that show less than the sensor measures. A URG-04LX is shown whole.
 pub(crate) const RADII: [f64; 10] = [6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0];
 /// How long a picture keeps its radius after the last point that needed it.
 pub(crate) const HOLD: Duration = Duration::from_secs(10);
@@ -77,8 +76,7 @@ impl Place {
     }
 }
 
-/// Converts `range` metres in the direction `angle` (radians counter-clockwise from the
-/// front) to a place.
+/// Place `range` metres away at `angle`, radians counter-clockwise from the front.
 pub(crate) fn place(range: f64, angle: f64) -> Place {
     Place::from_point(range * angle.cos(), range * angle.sin())
 }

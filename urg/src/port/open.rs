@@ -2,6 +2,9 @@
 
 use std::time::Duration;
 
+use futures_util::future::join_all;
+use parking_lot::Mutex;
+use tokio::time::timeout;
 use tokio_scip::port::Connect;
 use tokio_scip::protocol::Protocol;
 use tokio_scip::{BaudRate, Endpoint, Error, ErrorKind, Sensor, SensorBuilder, State, Window};
@@ -11,7 +14,11 @@ use super::name::{PortArg, PortName, argument};
 use crate::args::{LinkArgs, ProtocolName};
 use crate::delivery::Delivery;
 use crate::failure::{Failure, chain};
+use crate::interrupt::COMMAND_GRACE;
 use crate::output::notice::notice;
+
+/// Sensors to close at the end.
+static OPENED: Mutex<Vec<Sensor>> = Mutex::new(Vec::new());
 
 /// Wait before a notice names what the program is waiting for.
 const SILENT_WAIT: Duration = Duration::from_secs(1);
@@ -92,11 +99,18 @@ pub(crate) fn begin(
 fn spawn(builder: SensorBuilder, connect: impl Connect) -> Sensor {
     let (sensor, driver) = builder.build(connect);
     tokio::spawn(driver);
+    OPENED.lock().push(sensor.clone());
     sensor
 }
 
-/// Baud rate of the line. `None` on USB and Ethernet, and on a port that ignores its baud rate, as fast replies
-/// have shown.
+/// Closes all sensors, if that takes no longer than [`COMMAND_GRACE`]: one of SCIP 2 would go on sending
+/// scans, also to the next program.
+pub(crate) async fn close_all() {
+    let opened = std::mem::take(&mut *OPENED.lock());
+    let _ = timeout(COMMAND_GRACE, join_all(opened.iter().map(Sensor::close))).await;
+}
+
+/// Baud rate of the line. `None` without one, or if fast replies have shown that the port ignores it.
 pub(crate) fn line_baud_rate(sensor: &Sensor) -> Option<BaudRate> {
     sensor.watch_state().get().baud_rate().filter(|_| !sensor.stats().baud_rate_disproved)
 }

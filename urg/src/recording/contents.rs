@@ -1,7 +1,6 @@
 //! Contents of a recording for `urg info`: time span, number of scans, what was left out, gaps,
 //! sources, the sensor's clock, and changes of the wall clock. You can pass any of these times to
-//! `--range`: they count from the first scan on the steady clock. Stamps use the wall clock, which may
-//! jump.
+//! `--range`: they count from the first scan on the steady clock. Stamps may jump.
 
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -34,8 +34,7 @@ pub(crate) struct Reel {
 }
 
 impl Reel {
-    /// Opens the recording, and reads it once for the positions of all scans. An error if it has
-    /// no scan.
+    /// Opens the recording, and reads it once for the positions of all scans. Fails without one.
     pub(crate) fn open(recorded: Recorded) -> Result<Self, Failure> {
         let mut positions = Vec::new();
         let mut scans = recorded.open()?.scans();

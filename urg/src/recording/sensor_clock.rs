@@ -1,5 +1,4 @@
-//! [`SensorClock`]: how fast the clock of a recorded sensor runs, how often it has jumped, and how many
-//! scans are missing by it.
+//! [`SensorClock`]: how fast a recorded sensor's clock runs, its jumps, and what scans it misses.
 
 use std::time::Duration;
 

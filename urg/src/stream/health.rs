@@ -21,8 +21,7 @@ pub(crate) struct SensorHealth {
 }
 
 impl SensorHealth {
-    /// Judges a sensor whose `window` is polled at `rate`. `None` stands for a sensor that is not
-    /// opened yet.
+    /// Judges a sensor whose `window` is polled at `rate`. `None`: it is not opened yet.
     pub(crate) fn from_sensor(sensor: Option<&Sensor>, window: Window, rate: Rate) -> Self {
         let Some(sensor) = sensor else {
             return Self { link: "waiting", why: Some("looking for the sensor".to_owned()) };

@@ -1,5 +1,4 @@
-//! [`Chart`]: maps metres to the dots and cells of a screen area, and keeps labels from
-//! covering each other.
+//! [`Chart`]: maps metres to the dots and cells of a screen area, and keeps labels apart.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;

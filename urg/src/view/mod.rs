@@ -113,8 +113,7 @@ impl Viewer {
                 screen.ready().await
             };
             tokio::select! {
-                // Keys come first, because pasted text must not delay Ctrl-C by a frame for each
-                // of its letters.
+                // Keys first: pasted text must not delay Ctrl-C by a frame for each of its letters.
                 biased;
                 event = keys.next() => match event {
                     Some(Ok(Event::Key(key))) => match self.model.key(key) {

@@ -62,8 +62,7 @@ impl Palette {
         }
     }
 
-    /// Colour of a sensor among several. `number` counts from 0. Colours repeat if there are
-    /// more sensors.
+    /// Colour of a sensor among several. `number` counts from 0. Many sensors share colours.
     pub(crate) fn sensor(self, number: usize) -> Color {
         let colours = SENSORS.map(|one| self.indexed(one.indexed));
         colours.get(number % SENSORS.len()).copied().unwrap_or_default()

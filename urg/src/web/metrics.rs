@@ -1,5 +1,4 @@
-//! `/metrics`: statistics of the sensors and their streams in the Prometheus text format,
-//! version 0.0.4.
+//! `/metrics`: statistics of the sensors and their streams, as Prometheus text 0.0.4.
 
 use std::fmt::{Display, Write};
 

@@ -29,8 +29,7 @@ pub(super) struct DiscoveryInfo {
 }
 
 impl DiscoveryInfo {
-    /// Describes the nodes of a participant, which created a writer for each of `topics`, in this
-    /// order.
+    /// Describes the nodes of a participant, which created a writer for each of `topics`, in order.
     pub(super) fn new(prefix: Prefix, nodes: &[NodeNames], topics: &[Topic]) -> Self {
         let node = |(number, names): (usize, &NodeNames)| {
             // Cyclone numbers entities from 1.

@@ -1,8 +1,7 @@
 //! Wrapper of the Cyclone DDS binding: a participant with one writer per topic. No other file
 //! uses the binding.
 //!
-//! Writers borrow topics, and topics borrow the participant, so one function owns them all, on
-//! one thread.
+//! Writers borrow topics, and topics the participant, so one function owns them all, on one thread.
 
 use std::cell::RefCell;
 
