@@ -122,8 +122,7 @@ impl Laser {
         self.refused.retain(|refused| refused.window != window);
     }
 
-    /// Switches the laser on after the sensor refused a poll. Ignores which status it
-    /// refused with: sources disagree on the status while the laser is off.
+    /// Switches the laser on after a poll was refused, whatever the status: sources disagree on that.
     ///
     /// # Errors
     ///

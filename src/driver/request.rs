@@ -1,5 +1,4 @@
-//! Requests from handles to the driver, and their queue. Each request is answered exactly
-//! once: by the driver, or when it is dropped with the driver.
+//! Requests of handles, and their queue. Each is answered once, by the driver or when dropped with it.
 
 use std::collections::VecDeque;
 use std::task::{Context, Poll, ready};

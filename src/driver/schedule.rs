@@ -101,8 +101,7 @@ impl Schedules {
         self.all.iter_mut().for_each(|schedule| schedule.resolve(geometry));
     }
 
-    /// Resumes polling. Does not count the grid points missed meanwhile as skipped, and
-    /// restarts rate measurement.
+    /// Resumes polling: counts no grid point missed meanwhile as skipped, and measures rates anew.
     pub(crate) fn resume(&mut self, now: Instant) {
         self.drop_unread();
         for schedule in &mut self.all {
@@ -288,7 +287,7 @@ impl Schedule {
         }
     }
 
-    /// Number of revolutions in a period. `None` if it is too slow for a stream, or cannot be served at all.
+    /// Number of revolutions in a period. `None` if it is too slow for a stream, or cannot be served.
     fn turns(&self, revolution: Duration) -> Option<u8> {
         let period = self.stats.rate.period().unwrap_or_default();
         // To within a twentieth, so that no rounding halves the rate.

@@ -1,5 +1,4 @@
-//! Keeps a session open: connects, and after a lost link recovers or reconnects and
-//! restores the service's settings.
+//! Keeps a session open: connects, recovers or reconnects after a lost link, and restores settings.
 
 use std::any::Any;
 use std::future::{Future, poll_fn};

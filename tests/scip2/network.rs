@@ -151,28 +151,41 @@ async fn each_scan_that_a_stream_lacks_is_lost() {
     }
 }
 
+/// Its reader is dropped while it runs, after a request or in a stall, or its laser is switched off.
 #[tokio::test(start_paused = true)]
 async fn scans_that_nobody_wants_are_not_lost() {
-    for what in 0..3 {
-        let sensor = builder().connect(numbered(Model::Ust10lx).build()).await.unwrap();
-        let slow = sensor.scans(Window::DETECTION, Rate::hz(0.5));
-        let _slow = if what == 1 { Some(slow.await.unwrap()) } else { None };
+    for (what, slow) in (0..4).flat_map(|what| [None, Some(0.5), Some(0.01)].map(|it| (what, it))) {
+        let (emulator, network) = (numbered(Model::Ust10lx).build(), Network::default());
+        let sensor = builder().connect(network.connect(&emulator)).await.unwrap();
+        let mut streams = Vec::new();
+        if let Some(rate) = slow {
+            streams.push(sensor.scans(Window::DETECTION, Rate::hz(rate)).await.unwrap());
+        }
         let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
         next(&mut stream).await;
-        // The request ends the stream, and the laser or its reader does.
-        sensor.sensor_state().await.unwrap();
-        if what == 2 {
-            sensor.laser_off().await.unwrap();
-        } else {
+        match what {
+            0 => {}
+            1 => drop(sensor.sensor_state().await.unwrap()),
+            2 => sensor.laser_off().await.unwrap(),
+            _ => {
+                network.stall(true);
+                sleep(ms(2000)).await;
+            }
+        }
+        if what != 2 {
             drop(stream);
         }
+        sleep(ms(100)).await;
+        network.stall(false);
         sleep(ms(20_000)).await;
-        sensor.laser_on().await.unwrap();
+        if what == 2 {
+            sensor.laser_on().await.unwrap();
+        }
         let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
         for _ in 0..10 {
             next(&mut stream).await;
         }
         let lost = sensor.stats().lost;
-        assert!(lost < 10, "{what}: {lost}");
+        assert!(lost < 10, "{what} {slow:?}: {lost}");
     }
 }

@@ -93,8 +93,7 @@ pub(crate) struct Service<'a> {
 }
 
 impl Service<'_> {
-    /// Serves until there is a reason to stop: one request, setting or poll in turn, so that none
-    /// starves the others.
+    /// Serves until there is a reason to stop. Requests, settings and polls take turns: none starves.
     pub(crate) async fn run(&mut self, session: &mut Session) -> Result<Infallible, Stop> {
         self.schedules.end_stream();
         self.schedules.resolve(&self.geometry);
@@ -132,6 +131,9 @@ impl Service<'_> {
                             rarely(|| self.answer(session, *request)).await?;
                             // A stream may have been dropped since the last request.
                             self.schedules.drop_unread();
+                            if self.schedules.stream(self.scan_time).is_none() {
+                                session.streams().iter_mut().for_each(|it| it.allow_gap());
+                            }
                             true
                         }
                         None => false,
@@ -160,8 +162,7 @@ impl Service<'_> {
         }
     }
 
-    /// Probes the sensor. If it measures although its laser should be off, it was reset: switches
-    /// the laser off again.
+    /// Probes the sensor. If a reset has switched its laser on, which should be off, switches it off.
     async fn probe(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
         if session.probe().await? && self.laser.is_off {
             self.switch_laser(session, false, true).await?;

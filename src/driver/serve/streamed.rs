@@ -62,8 +62,7 @@ impl Service<'_> {
         }
     }
 
-    /// Delivers what has come of the stream: scans and errors. Ends the stream if no schedule needs it,
-    /// and restarts it if they need more scans, or fewer.
+    /// Delivers scans and errors. Ends a stream that no schedule needs, restarts it for more or fewer.
     pub(super) async fn deliver_streamed(&mut self, session: &mut Session) -> Result<(), Stop> {
         // A sensor that sends without a pause must not keep other tasks from running.
         consume_budget().await;
@@ -75,7 +74,11 @@ impl Service<'_> {
         let wish = self.schedules.stream(self.scan_time);
         // The motor may turn so fast that its scans fill the line.
         let outcome = match wish.filter(|wish| streams.can_stream(*wish)) {
-            None => streams.end_stream().await,
+            None => {
+                let outcome = streams.end_stream().await;
+                streams.allow_gap();
+                outcome
+            }
             Some(wish) if self.streamed != Some(wish.skipped) => {
                 self.streamed = Some(wish.skipped);
                 streams.stream(wish).await
