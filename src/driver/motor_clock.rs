@@ -45,7 +45,7 @@ const JUMP: u32 = 5;
 const USED: f64 = 0.55;
 const UNPROVED: f64 = 0.4;
 const RECENT: f64 = 16.0;
-/// A reply follows the motor if it waited, or if its time after the poll moved, by this many seconds.
+/// A reply follows the motor if it waited this many seconds, or moved after the poll by this many.
 const LONG_WAIT: f64 = 0.02;
 const MOVED: f64 = 0.004;
 /// Most revolutions between two such replies: fewer replies may show a multiple of the period.

@@ -296,7 +296,7 @@ impl Schedule {
     }
 
     /// Returns true if a scan of every so many revolutions is enough: the period is a multiple of these,
-    /// or a scan is never further from its time than an eighth of it.
+    /// or a scan is never further from its time than an eighth of the period.
     fn is_served(&self, revolution: Duration, turns: u8) -> bool {
         let period = self.stats.rate.period().unwrap_or_default();
         let (apart, shorter) = (revolution * turns.into(), revolution / 20);

@@ -101,8 +101,8 @@ impl Window {
     /// nothing outside of [`Window::DETECTION`]: the steps there always carry error code 19. Others
     /// send only what they measure.
     ///
-    /// In SCIP 1.1 it leaves no spare step on either side, and neither do some clustered windows: their
-    /// polls cannot differ, a safeguard less against a reply that a faulty line delivers twice.
+    /// In SCIP 1.1 this window and some clustered ones leave no spare step. Their polls cannot differ:
+    /// one safeguard less against a reply that a faulty line delivers twice.
     pub const FULL: Self = Self { wish: Wish::Answered, ..Self::from_steps(0, LAST) };
 
     /// All that the sensor measures. For a URG-04LX: steps 44..=725, -119.53 to +119.88 degrees.

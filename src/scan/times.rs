@@ -127,7 +127,7 @@ impl Scan {
         self.meta.scan_time
     }
 
-    /// Postpones the first ray until `earliest` or later, and returns its time: no motor shows that.
+    /// Postpones the first ray until `earliest` or later, and returns its time, which rests on no motor.
     #[cold]
     pub(crate) fn postpone(&mut self, earliest: Instant) -> Instant {
         self.meta.lateness = None;

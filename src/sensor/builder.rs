@@ -114,7 +114,7 @@ impl SensorBuilder {
         self
     }
 
-    /// Sets whether your service can start before its sensor. Default: `false`, then opening fails.
+    /// Sets whether your service can start before its sensor. Default: `false`, opening fails then.
     ///
     /// With `true`, opening returns at once, and the driver waits in the background, without a time
     /// limit, until the port exists and is free and the sensor answers. Streams begin with its first

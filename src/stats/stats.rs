@@ -12,7 +12,7 @@ use crate::{BaudRate, Rate, Window};
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct Stats {
-    /// Scans asked for, by streams and singly: each by a `G`, or sent by a sensor of SCIP 2 unasked.
+    /// Scans asked for, by streams and singly: by `G` or `GD`, or sent in a stream of SCIP 2.
     pub polls: u64,
     /// Scans received.
     pub scans: u64,
@@ -44,7 +44,7 @@ pub struct Stats {
     pub polls_skipped: u64,
     /// True if a reply arrived faster than the baud rate of the port allows, since the link was
     /// found or the baud rate changed. The port then uses another baud rate, or ignores it, as a
-    /// pseudo-terminal, a sensor on USB and a serial server do: no limit rests on the baud rate.
+    /// pseudo-terminal, a sensor on USB and a serial server do: ignore limits computed from it.
     pub baud_rate_disproved: bool,
     /// Times from a `G` to the last byte of its reply, and in a stream of SCIP 2 from scan to scan.
     pub reply_latency: LatencyStats,

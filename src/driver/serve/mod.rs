@@ -230,7 +230,7 @@ impl Service<'_> {
         stop
     }
 
-    /// Updates the state only on a change, because a user may hold a borrow of it. No gap spans one.
+    /// Updates the state only on a change: a user may hold a borrow of it. No scan is lost across one.
     fn publish_streaming(&mut self, now: bool, session: &mut Session) {
         if std::mem::replace(&mut self.streaming, now) != now {
             self.shared.link.set_streaming(now);

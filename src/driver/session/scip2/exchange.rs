@@ -1,4 +1,4 @@
-//! One request and its reply: sends it, judges the frame that answers it, and drops all but scans.
+//! Sends a request, judges the frame that answers it, and drops others but the scans of a stream.
 
 use std::time::Duration;
 

@@ -63,7 +63,7 @@ pub(super) struct State {
     /// What the stream has sent, and the driver has not yet delivered.
     pub(super) waiting: Waiting,
     clock: SensorClock,
-    /// Of a stream's latest scan: its clock, its arrival, and how many may follow it unsent. `None`: any.
+    /// Clock and arrival of a stream's latest scan, and how many are left out after it (`None`: any).
     latest: Option<(Stamp, Instant, Option<u8>)>,
     /// True if that one came twice.
     was_copied: bool,
