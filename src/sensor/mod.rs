@@ -27,7 +27,7 @@ use crate::{BaudRate, Error, Geometry, Rate, Scan, Window};
 /// # Cancel safety
 ///
 /// All futures of this type are cancel-safe. If you drop one before its request was written, the
-/// driver skips that. Afterwards the sensor carries it out, and the driver drops the reply.
+/// driver skips it; after that the sensor carries it out, and the driver drops the reply.
 ///
 /// # Errors
 ///
@@ -116,7 +116,7 @@ impl Sensor {
         self.client.ask(Request::State).await
     }
 
-    /// Switches the laser on (`L1`, p. 4; `BM` in SCIP 2), and confirms it. Succeeds if it is on.
+    /// Switches the laser on (`L1`, p. 4; `BM` in SCIP 2) and confirms it, also if it is on already.
     ///
     /// The driver remembers the setting, see [`laser_off`](Self::laser_off).
     ///
