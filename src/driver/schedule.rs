@@ -295,8 +295,8 @@ impl Schedule {
         u8::try_from(turns).ok().filter(|turns| self.is_measured && *turns <= MOST_TURNS)
     }
 
-    /// Returns true if a scan of every so many revolutions is enough: the period is a multiple of these,
-    /// or a scan is never further from its time than an eighth of the period.
+    /// Returns true if one scan every `turns` revolutions serves the schedule: its period is a multiple
+    /// of them, or each scan comes within an eighth of the period of its time.
     fn is_served(&self, revolution: Duration, turns: u8) -> bool {
         let period = self.stats.rate.period().unwrap_or_default();
         let (apart, shorter) = (revolution * turns.into(), revolution / 20);

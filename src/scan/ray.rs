@@ -31,7 +31,7 @@ impl Ray {
     }
 }
 
-/// Point in the frame of the sensor, or in that of a [pose](super::Pose::transform_scan).
+/// Point in the sensor's frame; in another one after [a transform](super::Pose::transform_scan).
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct Point {

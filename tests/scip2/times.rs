@@ -207,7 +207,7 @@ async fn d15_a_sensor_that_restarted_between_two_streams_has_a_new_clock() {
     }
 }
 
-/// After a pause nobody knows how far the clock has drifted: that is no jump.
+/// During a pause the clock may drift by any amount, which does not count as a jump.
 #[tokio::test(start_paused = true)]
 async fn only_jumps_of_the_clock_are_counted() {
     for seed in seeds("SCIP_JUMPS", 6) {

@@ -16,8 +16,7 @@ use crate::{BaudRate, ErrorKind};
 /// How long the sensor may take to answer during the baud rate search, in addition to the time of
 /// the bytes on the wire.
 const SEARCH_LATENCY: Duration = Duration::from_millis(400);
-/// Time from the reply until the new baud rate applies. Most sensors take one
-/// revolution, some take two.
+/// Time from the reply until the new baud rate applies: one revolution of most sensors, two of some.
 const CHANGE_TIME: Duration = Duration::from_millis(200);
 
 impl Session {

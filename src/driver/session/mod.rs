@@ -49,8 +49,7 @@ use crate::{BaudRate, ErrorKind, Geometry, Window};
 #[derive(Debug)]
 pub(crate) struct Acquired {
     pub(crate) values: Values,
-    /// Index of the window's first value. The protocol may have asked for extra values before or
-    /// after the window.
+    /// Index of the window's first value: the protocol may have asked for values around the window.
     pub(crate) first: usize,
     /// What the sensor has told of its clock.
     pub(crate) told: Option<Box<Told>>,
@@ -87,8 +86,7 @@ pub(crate) struct Identity {
 /// What a session leaves for the next one.
 #[derive(Debug)]
 pub(crate) struct Leftovers {
-    /// The system keeps bytes that arrive while a port is closed, so the next session may read
-    /// replies to these.
+    /// The next session may read replies to these: the system keeps bytes while a port is closed.
     unique_requests: UniqueRequests,
     /// True if the sensor may hold part of a command. An LF ends it, and can cost a revolution.
     interrupted: bool,
@@ -145,8 +143,7 @@ impl Session {
         self.scip2.as_mut().map(|state| Scip2 { line, state })
     }
 
-    /// Returns true if the next command has to be preceded by a [`probe`](Self::probe), as far as
-    /// known without reading.
+    /// Returns true if a [`probe`](Self::probe) must come first, as far as known without reading.
     pub(crate) fn needs_probe(&self) -> bool {
         (!self.scip1.line.is_settled || !self.scip1.line.transport.pending().is_empty())
             && !self.is_streaming()

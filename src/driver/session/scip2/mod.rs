@@ -49,8 +49,7 @@ pub(super) struct State {
     /// True if the sensor may send a stream that belongs to no request of this session: another
     /// program may have left it.
     has_stray_frames: bool,
-    /// True if the laser is to be on again after such a stream was stopped. `None` until the laser is
-    /// switched: the sensor was stopped when it was found.
+    /// Whether the laser is to be on, also once a stray stream was stopped. `None` until it is switched.
     keeps_laser: Option<bool>,
     /// Smallest selection that the sensor measures.
     one_step: Option<Window>,
@@ -297,8 +296,7 @@ impl Scip2<'_> {
 
     /// Asks for one step. Any status is an answer.
     pub(super) async fn probe_once(&mut self, latency: Duration) -> Result<Status, ExchangeError> {
-        let answer = self.exchange_within(latency, self.one_step(), true).await;
-        answer.map(|answer| answer.status)
+        self.exchange_within(latency, self.one_step(), true).await.map(|answer| answer.status)
     }
 
     fn one_step(&self) -> Command {
@@ -317,19 +315,25 @@ impl Scip2<'_> {
         if let Some(wish) = wish.filter(|wish| self.can_stream(*wish)) {
             return self.acquire_streamed(wish).await;
         }
-        self.stop_stray().await?;
-        if self.state.has_labels == Some(false) && !self.line.is_settled {
-            // An older reply would pass for the newest scan.
-            self.probe().await?;
-        }
-        if self.state.keeps_laser.is_none() {
-            self.switch_on().await?;
-        }
+        self.prepare().await?;
         let command = Command::Latest { data: self.state.data, window };
         let answer = accepted(self.exchange(command).await?)?;
         match answer.content {
             Content::Scan(scan) => Ok(acquired(scan, answer.times)),
             _ => Err(no_data(command)),
+        }
+    }
+
+    /// Sees to it that the next request for a scan is answered, and by nothing older.
+    async fn prepare(&mut self) -> Result<(), ExchangeError> {
+        self.stop_stray().await?;
+        if self.state.has_labels == Some(false) && !self.line.is_settled {
+            // Nothing else tells a late reply from the newest scan.
+            self.probe().await?;
+        }
+        match self.state.keeps_laser {
+            None => self.switch_on().await,
+            Some(_) => Ok(()),
         }
     }
 
@@ -362,8 +366,8 @@ impl Scip2<'_> {
         &mut self,
         baud_rate: BaudRate,
     ) -> Result<Text, ExchangeError> {
-        let answer = accepted(self.exchange(Command::BaudRate(baud_rate)).await?)?;
-        Ok(text(answer.status))
+        let answer = self.exchange(Command::BaudRate(baud_rate)).await?;
+        accepted(answer).map(|answer| text(answer.status))
     }
 
     /// Sends a command that may be sent twice, once more if there was no answer, and fails unless the

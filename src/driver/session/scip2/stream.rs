@@ -97,7 +97,7 @@ impl Scip2<'_> {
         Ok(())
     }
 
-    /// Counts no scan until the next stream as lost: nobody wants them.
+    /// The scans until the next stream do not count as lost: nobody wants them.
     pub(crate) fn allow_gap(&mut self) {
         self.state.latest = self.state.latest.map(|(stamp, received, _)| (stamp, received, None));
     }
