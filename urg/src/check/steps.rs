@@ -53,10 +53,10 @@ fn identity(version: &Version, state: Option<&State>) -> Finding {
 /// Switches the laser off and on. The driver confirms both by asking for a measurement.
 pub(crate) async fn laser(sensor: &Sensor) -> Finding {
     for (switched, state) in [(sensor.laser_off().await, "off"), (sensor.laser_on().await, "on")] {
-        if let Err(why) = switched {
+        if let Err(error) = switched {
             return Finding::failed(
                 "laser",
-                format!("cannot be switched {state}: {}", chain(&why)),
+                format!("cannot be switched {state}: {}", chain(&error)),
             );
         }
     }
