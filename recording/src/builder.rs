@@ -134,15 +134,12 @@ impl RecorderBuilder {
     /// of a UST: beyond that the oldest items are dropped earlier. Without a trigger the file stays empty.
     ///
     /// ```
-    /// # use std::time::Duration;
-    /// # use tokio_scip::{Rate, Sensor, Window};
-    /// # use urg_emulator::Emulator;
-    /// # use urg_recording::Recorder;
+    /// # use {tokio_scip::{Rate, Sensor, Window}, urg_emulator::Emulator, urg_recording::Recorder};
     /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
     /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
     /// # let sensor = Sensor::builder().connect(Emulator::default()).await?;
-    /// let before = Duration::from_secs(60);
-    /// let mut recorder = Recorder::builder().before(before).write_to(Vec::new())?;
+    /// let minute = std::time::Duration::from_secs(60);
+    /// let mut recorder = Recorder::builder().before(minute).write_to(Vec::new())?;
     /// recorder.observe(&sensor);
     /// let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
     /// recorder.describe(&sensor, &scans).await?;

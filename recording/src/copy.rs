@@ -5,6 +5,7 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
 use std::io::{Read, Write};
 use std::ops::RangeBounds;
+use std::sync::Arc;
 use std::time::Duration;
 
 use super::RecordingError;
@@ -14,7 +15,7 @@ use super::messages::{lost_schema, parse, time};
 use super::polls::StreamPolls;
 use super::range::TimeRange;
 use super::reader::parse_sensor_metadata;
-use super::record::{Entry, Record};
+use super::record::{Entry, Record, Topic};
 use super::reply::ReplyKind;
 use super::stream::Stream;
 
@@ -96,19 +97,32 @@ impl Copied {
 /// fails, and [`RecordingError::Write`] if writing does. The output is then incomplete.
 ///
 /// ```no_run
-/// use std::fs::File;
-/// use std::time::Duration;
-///
+/// use std::{fs::File, time::Duration};
 /// use urg_recording::cut;
 ///
 /// let files = [File::open("run.mcap")?, File::open("run_0002.mcap")?];
 /// let from = Duration::from_secs(3500);
-/// let copied = cut(files, from..from + Duration::from_secs(200), None, File::create_new("part.mcap")?)?;
-/// println!("{} scans", copied.scans);
+/// cut(files, from..from + Duration::from_secs(200), None, File::create_new("part.mcap")?)?;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn cut<R: Read + Send + 'static>(
     inputs: impl IntoIterator<Item = R>,
+    range: impl RangeBounds<Duration>,
+    compression: Option<Compression>,
+    output: impl Write,
+) -> Result<Copied, RecordingError> {
+    cut_topic(inputs, Topic::Scans.name(), range, compression, output)
+}
+
+/// Does the same as [`cut`], but counts the scans of `topic` and the times since its first one, for a bag
+/// of other scanners: see [`Recording::topic`](super::Recording::topic).
+///
+/// # Errors
+///
+/// The same as for [`cut`].
+pub fn cut_topic<R: Read + Send + 'static>(
+    inputs: impl IntoIterator<Item = R>,
+    topic: &str,
     range: impl RangeBounds<Duration>,
     compression: Option<Compression>,
     output: impl Write,
@@ -124,14 +138,14 @@ pub fn cut<R: Read + Send + 'static>(
         queue.push(Reverse((source.time, number)));
     }
     let first = queue.peek().and_then(|Reverse((_, number))| sources.get_mut(*number));
-    let head = first.and_then(|source| source.header.take());
-    let head = head.unwrap_or_else(|| header("ros2", ""));
+    let head = first.and_then(|source| source.header.take()).unwrap_or_else(|| header("ros2", ""));
     let known = sources.iter().map(Source::compression).max().unwrap_or_default();
     let mut copy = Copy {
         writer: McapWriter::start_copy(output, &head, compression.unwrap_or(known))
             .map_err(RecordingError::write)?,
         keeps_compression: compression.is_none(),
         range: TimeRange::new(&range),
+        topic: (topic != Topic::Scans.name()).then(|| topic.into()),
         identity: BTreeMap::new(),
         latched: Latched::default(),
         metadata: None,
@@ -235,6 +249,8 @@ struct Copy<W> {
     writer: McapWriter<W>,
     keeps_compression: bool,
     range: TimeRange,
+    /// Topic of the scans to count, as in [`Record`].
+    topic: Option<Arc<str>>,
     /// Latest successful replies that identify the sensor, and the numbers of their sources.
     identity: BTreeMap<ReplyKind, (usize, MessageHeader, Vec<u8>)>,
     /// Latched messages before the part, until it begins.
@@ -263,7 +279,7 @@ impl<W: Write> Copy<W> {
                     // Otherwise it would follow the metadata in the copy, and count as the later one.
                     self.identity.remove(&ReplyKind::Parameters);
                 }
-                self.polls.describe(stream);
+                self.polls.describe(stream.filter(|_| self.topic.is_none()));
                 // Of the first description, whatever follows.
                 self.count_scans(false);
                 self.metadata = Some((number, content.clone()));
@@ -277,16 +293,16 @@ impl<W: Write> Copy<W> {
         }
         let Some((mut header, data)) = MessageHeader::parse(&content) else { return Ok(()) };
         let record = parse(&content, source.records.definitions()).and_then(Result::ok);
-        let record = record.filter(|record| record.topic.is_none());
+        let identity = record.as_ref().and_then(|record| match &record.entry {
+            Entry::Reply(reply) => reply.identity(),
+            _ => None,
+        });
+        let record = record.filter(|record| record.topic == self.topic);
         if let Some(record) = &record {
             self.range.see(record);
         }
         let at = time(header.log_time);
         let is_inside = self.range.contains(at);
-        let identity = record.as_ref().and_then(|record| match &record.entry {
-            Entry::Reply(reply) => reply.identity(),
-            _ => None,
-        });
         let known = identity.and_then(|kind| self.identity.get(&kind));
         // Each file of a split recording begins with them.
         if known.is_some_and(|(source, known, bytes)| {

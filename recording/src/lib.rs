@@ -12,9 +12,7 @@
 //!
 //! # #[tokio::main(flavor = "current_thread", start_paused = true)]
 //! # async fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! # let folder = std::env::temp_dir().join(format!("recording-{}", std::process::id()));
-//! # std::fs::create_dir_all(&folder)?;
-//! # let path = folder.join("run.mcap");
+//! # let path = std::env::temp_dir().join(format!("recording-{}.mcap", std::process::id()));
 //! // Records ten scans; instead of the emulator, `open("/dev/ttyACM0")`.
 //! let mut recorder = Recorder::create(&path)?;
 //! let sensor = Sensor::builder().depth(1024).connect(Emulator::default()).await?;
@@ -26,20 +24,15 @@
 //!     recorder.record(&item)?;
 //! }
 //! recorder.finish().await?;
-//!
 //! // And again, from the file.
 //! let recording = Recording::open(&path)?;
 //! let (Some(window), Some(rate)) = (recording.window(), recording.rate()) else { return Ok(()) };
-//! let emulator = recording.replay(ReplayPace::Recorded)?;
-//! let sensor = Sensor::builder().connect(emulator).await?;
+//! let sensor = Sensor::builder().connect(recording.replay(ReplayPace::Recorded)?).await?;
 //! let mut replayed = sensor.scans(window, rate).await?;
-//! let mut count = 0;
 //! while let Some(scan) = replayed.next().await {
-//!     scan?;
-//!     count += 1;
+//!     println!("{:?}", scan?.nearest());
 //! }
-//! assert_eq!(count, 10);
-//! # std::fs::remove_dir_all(&folder)?;
+//! # std::fs::remove_file(&path)?;
 //! # Ok(())
 //! # }
 //! ```
@@ -116,7 +109,7 @@ mod writer;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 pub use self::builder::RecorderBuilder;
-pub use self::copy::{Copied, cut, repair};
+pub use self::copy::{Copied, cut, cut_topic, repair};
 pub use self::error::RecordingError;
 pub use self::event::{Event, Events};
 pub use self::file::RecordingFile;

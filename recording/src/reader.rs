@@ -39,12 +39,8 @@ const MAX_OTHER_TOPICS: usize = 16;
 /// chunks, or of its end, up to 64 MiB of it are in memory.
 ///
 /// ```no_run
-/// use urg_recording::{Entry, Recording};
-///
-/// for record in Recording::open("run.mcap")? {
-///     if let Entry::Scan(scan) = record?.entry {
-///         println!("{:?} {:?}", scan.stamp, scan.ranges);
-///     }
+/// for record in urg_recording::Recording::open("run.mcap")? {
+///     println!("{:?}", record?.entry);
 /// }
 /// # Ok::<(), urg_recording::RecordingError>(())
 /// ```
@@ -198,12 +194,9 @@ impl Recording {
     /// the stream. Messages outside of the [range](Self::range) are not counted.
     ///
     /// ```no_run
-    /// use urg_recording::Recording;
-    ///
-    /// let recording = Recording::open("run.mcap")?;
+    /// let recording = urg_recording::Recording::open("run.mcap")?;
     /// let left_out = recording.left_out();
-    /// let scans = recording.scans().filter(|scan| scan.is_ok()).count();
-    /// println!("{scans} scans");
+    /// recording.scans().for_each(drop);
     /// for count in left_out.counts() {
     ///     println!("{count}"); // 3 messages cut short or malformed (the first: /scan, 12 bytes)
     /// }

@@ -53,16 +53,8 @@ impl Recording {
     /// recording has neither replies nor such messages, the only item is [`RecordingError::NoScans`].
     ///
     /// ```no_run
-    /// use tokio_scip::Scan;
-    /// use urg_recording::Recording;
-    ///
-    /// /// The same function as for `Sensor::scans`.
-    /// fn nearest(scan: &Scan) -> Option<f32> {
-    ///     scan.nearest().map(|point| point.range)
-    /// }
-    ///
-    /// for scan in Recording::open("run.mcap")?.scans() {
-    ///     println!("{:?}", nearest(&scan?));
+    /// for scan in urg_recording::Recording::open("run.mcap")?.scans() {
+    ///     println!("{:?}", scan?.nearest());
     /// }
     /// # Ok::<(), urg_recording::RecordingError>(())
     /// ```

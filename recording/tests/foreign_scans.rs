@@ -9,7 +9,7 @@ use std::time::{Duration, SystemTime};
 use mcap::WriteOptions;
 use mcap::records::{MessageHeader, Metadata};
 use tokio_scip::{Scan, Window};
-use urg_recording::{LeftOut, LeftOutReason, Recording, RecordingError, cut};
+use urg_recording::{Entry, LeftOut, LeftOutReason, Recording, RecordingError, cut, cut_topic};
 
 use crate::common::random::{Random, seeds};
 use crate::sink::{replayed, window};
@@ -639,4 +639,49 @@ fn a_part_shows_the_stream_that_it_has() {
     let copied = cut([Cursor::new(joined)], seconds(7)..seconds(9), None, &mut part).unwrap();
     assert_eq!(read(&part), (20, 0, BTreeMap::new()));
     assert_eq!(copied.scans, 20);
+}
+
+/// The part is the messages whose log times are in it, of all topics.
+#[test]
+fn a_part_counts_from_the_scans_of_its_topic() {
+    let times = |file: &[u8]| -> Vec<_> {
+        let messages = mcap::MessageStream::new(file).unwrap().map(Result::unwrap);
+        messages.map(|message| (message.channel.topic.clone(), message.log_time)).collect()
+    };
+    let (mut parts, mut nothing) = (0, 0);
+    for seed in seeds("URG_TOPIC", 200) {
+        let random = &mut Random::new(seed);
+        let (file, _) = bag(random, None);
+        let tenths = Duration::from_millis(100);
+        let from = tenths * random.below(20) as u32;
+        let range = from..from + tenths * (1 + random.below(20) as u32);
+        for topic in ["/scan", "/rear/scan"] {
+            let first = open(&file).topic(topic).find_map(|record| {
+                record.ok().filter(|record| matches!(record.entry, Entry::Scan(_)))
+            });
+            let mut part = Vec::new();
+            let copied =
+                cut_topic([Cursor::new(file.clone())], topic, range.clone(), None, &mut part);
+            let Some(first) = first else {
+                // Without a scan to count from, all is at its time.
+                assert_eq!(
+                    copied.unwrap().messages > 0,
+                    from.is_zero() && !times(&file).is_empty()
+                );
+                nothing += 1;
+                continue;
+            };
+            let first = first.at.duration_since(SystemTime::UNIX_EPOCH).unwrap();
+            let is_inside =
+                |at: u64| range.contains(&Duration::from_nanos(at).saturating_sub(first));
+            let mut expected = times(&file);
+            expected.retain(|(_, at)| is_inside(*at));
+            assert_eq!(times(&part), expected, "{seed} {topic}");
+            let scans = open(&file).topic(topic).range(range.clone()).scans();
+            let scans = scans.filter(Result::is_ok).count() as u64;
+            assert_eq!(copied.unwrap().scans, scans, "{seed} {topic}");
+            parts += usize::from(scans > 0);
+        }
+    }
+    assert!(parts > 50 && nothing > 20, "{parts} {nothing}");
 }

@@ -43,8 +43,7 @@ impl Interrupt {
 
     /// Waits until an interrupted command has used up its time to finish.
     pub(crate) async fn overdue(&self) {
-        let deadline = self.requested().await + COMMAND_GRACE;
-        tokio::time::sleep_until(deadline).await;
+        tokio::time::sleep_until(self.requested().await + COMMAND_GRACE).await;
     }
 
     /// Waits for `work`, and drops it if it has not finished a second after an interrupt.

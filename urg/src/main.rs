@@ -164,8 +164,7 @@ fn refuse(error: &clap::Error) -> ! {
         error.exit();
     }
     // clap repeats an argument verbatim, and `urg view *` takes it from a file name.
-    let text = error.render().to_string();
-    text.lines().for_each(|line| eprintln!("{}", escaped(line)));
+    error.render().to_string().lines().for_each(|line| eprintln!("{}", escaped(line)));
     std::process::exit(error.exit_code())
 }
 

@@ -295,3 +295,28 @@ async fn joined_recordings_of_two_sensors_are_weak() {
     let check = run(&format!("check {}", both.path()), 0).stdout;
     assert!(check.contains("weak    sources  scans of 2 sensors: H1, H2\n"), "{check}");
 }
+
+#[test]
+fn a_part_counts_from_the_topic_of_the_scans() {
+    let (file, part) = (Scratch::mcap("front"), Scratch::mcap("front-part"));
+    let front = |tenth| Message { topic: "/front/scan", ..scan(windows()[0], tenth) };
+    write(&file, (100..130).map(front));
+    // Without an error, `..1s` would take everything.
+    for range in ["1s..2s", "..1s"] {
+        let line = failure(&format!("cut {} {} --range {range}", file.path(), part.path()));
+        assert!(line.ends_with(" on the topic /scan; choose a topic: /front/scan\n"), "{line}");
+        assert!(!std::fs::exists(part.path()).unwrap());
+    }
+    let whole = Scratch::mcap("front-whole");
+    run(&format!("cut {} {}", file.path(), whole.path()), 0);
+    let options = "--range 1s..2s --topic /front/scan";
+    let notice = run(&format!("cut {} {} {options}", file.path(), part.path()), 0).stderr;
+    assert!(notice.ends_with(": 10 scans\n"), "{notice}");
+    let stream = |path: &str, options: &str| {
+        let text = run(&format!("stream {path} --rate max {options}"), 0).stdout;
+        scans(&text).iter().map(values).collect::<Vec<_>>()
+    };
+    let copied = stream(part.path(), "--topic /front/scan");
+    assert_eq!(copied, stream(whole.path(), options));
+    assert_eq!(copied.len(), 10);
+}

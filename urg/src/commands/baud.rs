@@ -27,8 +27,7 @@ pub(crate) struct Baud {
 impl Baud {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let (port, sensor) = self.sensor.open().await?;
-        let moved = sensor.set_baud_rate(self.baud_rate).await;
-        moved.map_err(|error| Failure::at(&port, &error))?;
+        sensor.set_baud_rate(self.baud_rate).await.map_err(|error| Failure::at(&port, &error))?;
         match proven_baud_rate(&sensor).await {
             None => notice(format_args!(
                 "{port}: the sensor is on {}, which has no baud rate",

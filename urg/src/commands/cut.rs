@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use urg_recording::{Copied, cut};
+use urg_recording::{Copied, Recording, RecordingError, cut_topic};
 
 use crate::args::CopyArgs;
 use crate::failure::Failure;
@@ -11,12 +11,13 @@ use crate::format::counted;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
 use crate::recording::rewrite::{is_dash, rewrite};
-use crate::recording::span::RangeArgs;
+use crate::recording::span::{RangeArgs, TopicArgs};
 
 /// Copy a part of a recording, or join the files of a split recording
 ///
-/// Messages of all topics keep their bytes and times, and are in the order of their times. You lose
-/// only damaged parts, about one second each. The input files are not changed.
+/// Messages of all topics keep their bytes and times, and are in the order of their times. --range
+/// counts from the first scan on --topic. You lose only damaged parts, about one second each. The
+/// input files are not changed.
 #[derive(Debug, clap::Args)]
 #[command(
     override_usage = "urg cut [OPTIONS] <FILE>... <OUT>",
@@ -24,6 +25,7 @@ use crate::recording::span::RangeArgs;
 Examples:
   urg cut run.mcap part.mcap --range 1:30..2:00
   urg cut run*.mcap whole.mcap
+  urg cut bag.mcap part.mcap --range 90s.. --topic /front/scan
   urg cut run.mcap plain.mcap --compress none
   urg cut run.mcap - --range 90s.. | ssh host 'cat > part.mcap'"
 )]
@@ -35,16 +37,34 @@ pub(crate) struct Cut {
     #[command(flatten)]
     range: RangeArgs,
     #[command(flatten)]
+    topic: TopicArgs,
+    #[command(flatten)]
     copy: CopyArgs,
+}
+
+/// Fails if a file has no scan from which to count times.
+fn find_scan(file: &PathBuf, topic: &str) -> Result<(), RecordingError> {
+    match Recording::open(file)?.topic(topic).scans().next() {
+        Some(Err(error @ RecordingError::NoScans { .. })) => Err(error),
+        _ => Ok(()),
+    }
 }
 
 impl Cut {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let Self { mut files, range, copy } = self;
+        let Self { mut files, range, topic, copy } = self;
         let Some(out) = files.pop() else { return Ok(()) };
         let name = out.display().to_string();
         let (bounds, compression) = (range.bounds(), copy.compression());
-        let copy = move |inputs, output: &mut dyn Write| cut(inputs, bounds, compression, output);
+        let (inputs, topic) = (files.clone(), topic.topic.unwrap_or_else(|| "/scan".to_owned()));
+        let copy = move |files, output: &mut dyn Write| {
+            let copied = cut_topic(files, &topic, bounds, compression, output)?;
+            let is_doubtful = range.range.is_some() && copied.scans == 0;
+            // Standard input cannot be read again.
+            let doubtful = inputs.iter().filter(|file| is_doubtful && !is_dash(file));
+            let found = doubtful.map(|file| find_scan(file, &topic)).reduce(Result::or);
+            found.unwrap_or(Ok(())).map(|()| copied)
+        };
         let is_kept = |copied: &Copied| copied.messages > 0;
         let copied = rewrite(files, &out, interrupt, copy, is_kept).await?;
         let Copied { messages, scans, damaged_parts, was_truncated, .. } = copied;

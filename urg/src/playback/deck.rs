@@ -67,8 +67,7 @@ impl Deck {
     /// Position where a loop starts over. The last scan stays as long as the scan before
     /// it, but at least 0.1 s.
     fn end_of_loop(&self) -> Duration {
-        let before = self.time(self.last().saturating_sub(1));
-        let last = self.length().saturating_sub(before);
+        let last = self.length().saturating_sub(self.time(self.last().saturating_sub(1)));
         self.length() + last.max(Duration::from_millis(100))
     }
 

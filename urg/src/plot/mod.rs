@@ -177,8 +177,7 @@ pub(crate) fn rings(reach: f64) -> impl Iterator<Item = f64> {
     let far = [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0];
     let far = far.into_iter().find(|spacing| reach / spacing <= 10.0);
     let spacing = near.or(far).unwrap_or(reach / 5.0);
-    let rings = (1..=10).map(move |n| f64::from(n) * spacing);
-    rings.take_while(move |ring| *ring <= reach)
+    (1..=10).map(move |n| f64::from(n) * spacing).take_while(move |ring| *ring <= reach)
 }
 
 #[cfg(test)]
@@ -232,8 +231,7 @@ mod tests {
             values.iter_mut().zip(&seen).for_each(|(value, seen)| *value = *seen);
         };
         let emulator = Emulator::builder().model(Model::Utm30lx).world(world).build();
-        let sensor = Sensor::builder().connect(emulator).await.unwrap();
-        sensor.scan(Window::DETECTION).await.unwrap()
+        Sensor::builder().connect(emulator).await.unwrap().scan(Window::DETECTION).await.unwrap()
     }
 
     #[tokio::test(start_paused = true)]

@@ -49,8 +49,7 @@ mod tests {
 
     #[test]
     fn limits_are_times_or_sizes() {
-        let hour = SplitLimit::Duration(Duration::from_secs(3600));
-        assert_eq!("1h".parse(), Ok(hour));
+        assert_eq!("1h".parse(), Ok(SplitLimit::Duration(Duration::from_secs(3600))));
         assert_eq!("1GB".parse(), Ok(SplitLimit::Bytes(1_000_000_000)));
         assert_eq!("1.5 MB".parse(), Ok(SplitLimit::Bytes(1_500_000)));
         assert_eq!("10kB".parse(), Ok(SplitLimit::Bytes(10_000)));

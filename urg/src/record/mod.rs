@@ -156,8 +156,7 @@ impl Record {
             }
             None => Duration::ZERO,
         };
-        let rate = feed.scans().rate();
-        let writing = Writing::new(recorder, reporter, &target, rate, held);
+        let writing = Writing::new(recorder, reporter, &target, feed.scans().rate(), held);
         self.write(writing, feed, interrupt).await
     }
 

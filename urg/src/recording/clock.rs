@@ -43,8 +43,7 @@ impl Clock {
             let time = utc(self.latest.unwrap_or(SystemTime::UNIX_EPOCH));
             return Some(format!("all {} scans have the same {name}, {time}", self.scans));
         }
-        let faults = [(self.equal, "equal to"), (backward, "earlier than")];
-        let faults = faults
+        let faults = [(self.equal, "equal to"), (backward, "earlier than")]
             .into_iter()
             .filter(|(count, _)| *count > 0)
             .map(|(count, what)| format!("{} {what} the one before", counted(count, name)));

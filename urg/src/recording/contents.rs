@@ -70,8 +70,7 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
                     let revolution = scan.geometry().revolution();
                     let is_every =
                         rate.is_some_and(|rate| rate.period() < Some(revolution * 5 / 4));
-                    let period = is_every.then_some(revolution);
-                    sensor_clock.add(clock, recorded.position(), period);
+                    sensor_clock.add(clock, recorded.position(), is_every.then_some(revolution));
                 }
             }
             Err(RecordingError::Damaged { offset, .. }) => damaged_at.push(offset),

@@ -138,8 +138,7 @@ impl Recorded {
         let recording = self.open()?;
         let path = self.stdin.is_none().then(|| self.path.clone());
         let read = tokio::task::spawn_blocking(move || contents::read(path.as_deref(), recording));
-        let contents = read.await.map_err(|error| self.failure(&error))?;
-        contents.map_err(|error| self.failure(&error))
+        read.await.map_err(|error| self.failure(&error))?.map_err(|error| self.failure(&error))
     }
 
     /// Starts the replay. With [`Delivery::All`], the replay waits for a slow consumer.
@@ -285,8 +284,7 @@ impl Connect for PipeReplay {
             return Err(failed(io::ErrorKind::UnexpectedEof.into()));
         };
         // Blocks, which is all right on a thread of its own.
-        let emulator = recording.replay(pace).map_err(|error| failed(io::Error::other(error)));
-        emulator?.connect().await
+        recording.replay(pace).map_err(|error| failed(io::Error::other(error)))?.connect().await
     }
 }
 

@@ -83,7 +83,7 @@ fn write<T>(
             Failure::new(format_args!("{}: not written", to.display()), source)
         }
         (RecordingError::Write { .. }, _) => failure(to, &error),
-        (_, [file]) => failure(file, &error),
+        (RecordingError::NoScans { .. }, [file, ..]) | (_, [file]) => failure(file, &error),
         (_, files) => match files.iter().find(|file| !is_readable(file)) {
             Some(file) => failure(file, &error),
             None => Failure::new("one of the files", &error),

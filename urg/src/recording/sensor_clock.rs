@@ -190,8 +190,7 @@ mod tests {
             for (from, seconds) in [(0, before), (before + off, 30)] {
                 for number in 0..seconds * 40 {
                     let since = Duration::from_millis(25) * number;
-                    let position = Duration::from_secs(from.into()) + since;
-                    clock.add(since * 1001 / 1000, position, None);
+                    clock.add(since * 1001 / 1000, Duration::from_secs(from.into()) + since, None);
                 }
             }
             let text = clock.describe().unwrap().1;

@@ -73,8 +73,7 @@ impl Feed {
         window: Window,
         rate: Rate,
     ) -> Result<Self, Failure> {
-        let scans = sensor.scans(window, rate).await;
-        let scans = scans.map_err(|error| Failure::at(port, &error))?;
+        let scans = sensor.scans(window, rate).await.map_err(|error| Failure::at(port, &error))?;
         Ok(Self { scans, port: port.clone(), events: Events::new(), next: VecDeque::new() })
     }
 

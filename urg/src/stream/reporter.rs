@@ -101,8 +101,7 @@ impl Reporter {
         let why = trouble(&self.sensor.watch_state().get())
             .filter(|_| ended != StreamEnd::ByItself)
             .or_else(|| self.last_error.clone());
-        let is_early = self.began.elapsed() < FIRST_SCAN;
-        if ended == StreamEnd::Interrupted && why.is_none() && is_early {
+        if ended == StreamEnd::Interrupted && why.is_none() && self.began.elapsed() < FIRST_SCAN {
             return Ok(());
         }
         let why = why.unwrap_or_else(|| "no poll was answered yet".to_owned());

@@ -61,8 +61,7 @@ pub(super) fn text(model: &Model) -> String {
         text.extend(keys.into_iter().flatten().map(line));
     }
     text.push_str(&line(&QUIT));
-    let has_intensities = model.layers.iter().any(Layer::has_intensities);
-    text.push_str(match (model.has_several(), has_intensities) {
+    text.push_str(match (model.has_several(), model.layers.iter().any(Layer::has_intensities)) {
         (true, false) => {
             "Points have their sensor's colour;\n○ is the selected sensor's nearest.\n"
         }

@@ -42,8 +42,7 @@ pub(crate) fn lines(model: &Model, palette: Palette, rows: u16) -> Vec<Line<'sta
 /// Builds the lines that only the selected of several sensors gets.
 pub(crate) fn details(model: &Model, layer: &Layer, palette: Palette) -> Vec<Line<'static>> {
     let panel = Panel { layer, palette };
-    let title = format!("of {}:", layer.label());
-    let mut lines = vec![Line::styled(title, Palette::quiet())];
+    let mut lines = vec![Line::styled(format!("of {}:", layer.label()), Palette::quiet())];
     lines.extend(panel.window());
     let figures = panel.latency().into_iter().chain(panel.losses()).chain(panel.missing());
     lines.extend(figures.map(|line| dimmed_if_old(line, model, layer)));
@@ -137,8 +136,7 @@ impl Panel<'_> {
         let steps = format!("{} to {}{cluster}", window.start(), window.end());
         let [from, to] =
             [window.start(), window.end()].map(|step| self.layer.geometry().degrees(step));
-        let angles = format!("{from:.1}° to {to:.1}°");
-        vec![self.row("steps", steps), self.row("", angles)]
+        vec![self.row("steps", steps), self.row("", format!("{from:.1}° to {to:.1}°"))]
     }
 
     fn pace(&self) -> Vec<Line<'static>> {
@@ -183,8 +181,7 @@ impl Panel<'_> {
         ];
         let mut name = "lost";
         let rows = kinds.into_iter().filter(|(count, _)| *count > 0).map(|(count, kind)| {
-            let text = format!("{count} {kind}");
-            self.styled(std::mem::take(&mut name), text, self.palette.poor())
+            self.styled(std::mem::take(&mut name), format!("{count} {kind}"), self.palette.poor())
         });
         let rows: Vec<_> = rows.collect();
         if rows.is_empty() { vec![self.row("lost", "0")] } else { rows }

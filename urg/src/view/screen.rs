@@ -59,8 +59,7 @@ impl Screen {
     pub(crate) fn take() -> Result<Self, Failure> {
         let taken = Taken::now().map_err(cannot_draw)?;
         let bytes = FrameBuffer::default();
-        let backend = CrosstermBackend::new(bytes.clone());
-        let terminal = Terminal::new(backend).map_err(cannot_draw)?;
+        let terminal = Terminal::new(CrosstermBackend::new(bytes.clone())).map_err(cannot_draw)?;
         let (frames, receiver) = mpsc::channel(1);
         let writer = tokio::spawn(write(receiver));
         Ok(Self { terminal, bytes, frames, writer, taken })

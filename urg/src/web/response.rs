@@ -27,7 +27,6 @@ pub(super) fn response(
 ) -> Response {
     let mut response = Response::new(body.boxed_unsync());
     *response.status_mut() = status;
-    let content_type = HeaderValue::from_static(content_type);
-    response.headers_mut().insert(header::CONTENT_TYPE, content_type);
+    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(content_type));
     response
 }

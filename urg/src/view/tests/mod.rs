@@ -301,8 +301,7 @@ async fn lost_scans_are_counted_by_cause() {
 #[tokio::test(start_paused = true)]
 async fn messages_are_shown_whole_and_go_by_themselves() {
     let mut model = watched(Emulator::builder().usb().build()).await;
-    let text = "so much to say ".repeat(12) + "and the end";
-    model.show(text);
+    model.show("so much to say ".repeat(12) + "and the end");
     assert!(screen(&model, 80, 24).contains("and the end"));
     model.now += Duration::from_secs(7);
     assert!(!screen(&model, 80, 24).contains("and the end"));
