@@ -35,8 +35,7 @@ const MAX_DECIMALS: usize = 20;
 pub struct Rate(Option<Duration>);
 
 impl Rate {
-    /// No limit: as fast as the sensor answers. From a sensor of SCIP 2 each scan once. As text, it is
-    /// `max`.
+    /// No limit: as fast as the sensor answers. From a sensor of SCIP 2 each scan once. As text: `max`.
     pub const UNLIMITED: Self = Self(None);
 
     /// Creates a rate of `hz` scans per second: more than 0, at most 1,000. Raises less

@@ -1,5 +1,4 @@
-//! [`EndpointConnector`]: opens the port that an [`Endpoint`] names, again after each
-//! loss of the link.
+//! [`EndpointConnector`]: opens the port that an [`Endpoint`] names, again after each loss of the link.
 
 use std::fmt;
 

@@ -1,5 +1,4 @@
-//! [`SerialPort`]: a serial port of this machine, RS-232 or USB. Threads open it, set its baud
-//! rate and close it.
+//! [`SerialPort`]: a serial port of this machine, RS-232 or USB. Threads open, set and close it.
 
 use std::future::Future;
 use std::io;

@@ -14,8 +14,7 @@ use tokio::runtime::Handle;
 use tokio::time::{Sleep, sleep};
 use tokio_serial::{ClearBuffer, SerialPort as _, SerialPortBuilder};
 
-/// Length of the longest read. The buffer is initialised before each read, and no reply of
-/// a sensor is longer.
+/// Length of the longest read. The buffer is initialised before each read, and no reply is longer.
 const MAX_READ_BYTES: usize = 2048;
 /// True if a short read proves that the system's buffer is empty and that new bytes re-arm
 /// readiness: terminals with edge-triggered epoll.

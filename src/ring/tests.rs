@@ -1,5 +1,4 @@
-//! Histories of a ring, all short ones and random long ones, compared with readers that each have a
-//! queue of their own.
+//! Histories of a ring, all short ones and random long ones, compared with readers that own a queue each.
 //!
 //! Each call takes the lock once, apart from waking tasks: so threads, too, make calls in some order.
 

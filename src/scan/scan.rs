@@ -153,8 +153,7 @@ impl Scan {
         metres(self.meta.geometry.distances().start().saturating_sub(1))
     }
 
-    /// Metres, a millimetre above the longest distance: `laser_geometry` drops a range of exactly
-    /// `range_max`.
+    /// Metres, a millimetre above the longest distance: `laser_geometry` drops a range that equals it.
     pub fn range_max(&self) -> f32 {
         metres(self.meta.geometry.distances().end().saturating_add(1))
     }

@@ -6,6 +6,7 @@ use std::task::{Context, Poll, Waker};
 use tokio::io::ReadBuf;
 use tokio::time::{Instant, sleep};
 use tokio_scip::protocol::Protocol;
+use tokio_scip::scan::StampQuality;
 use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, Window};
 use urg_emulator::{Emulator, Fault, Faults, Firmware, Fixed, Model};
 
@@ -204,5 +205,33 @@ async fn a_stream_at_another_baud_rate_does_not_end_a_search() {
         sleep(ms(5 * phase)).await;
         let sensor = builder().connect(emulator).await.unwrap();
         assert_eq!(sensor.watch_state().get().baud_rate(), Some(BaudRate::B750000), "{phase}");
+    }
+}
+
+/// The motor turns faster than the sensor tells, and the first scan comes late: so does each one of the
+/// backlog, at an even pace.
+#[tokio::test(start_paused = true)]
+async fn a_backlog_on_a_full_line_shows_no_clock() {
+    for seed in seeds("SCIP_BACKLOG", 40) {
+        let mut random = Random::new(seed);
+        let revolution = ms(85) + random.ms(5);
+        let emulator = numbered(Model::Urg04lx).firmware(Firmware::V31).revolution(revolution);
+        let emulator = emulator.baud_rate(BaudRate::B250000).build();
+        let asking = builder().depth(64).protocol(Protocol::Scip2);
+        let sensor = asking.connect(emulator.clone()).await.unwrap();
+        let last = 716 + random.below(10) as u16;
+        let window = Window::new(44..=last).unwrap();
+        let late = Fault::Late(ms(20) + random.ms(80));
+        emulator.set_faults(Faults::none().at(1 + random.below(2), late));
+        let mut stream = sensor.scans(window, Rate::UNLIMITED).await.unwrap();
+        for _ in 0..60 {
+            let scan = next(&mut stream).await;
+            let late = lateness(&emulator, &scan);
+            let is_by_clock = scan.times().quality == StampQuality::SensorClock;
+            assert!(
+                !is_by_clock || late.abs() < 4.0,
+                "seed {seed}, {revolution:?}, {last}: {late} ms"
+            );
+        }
     }
 }

@@ -34,10 +34,6 @@ const OLDEST: Duration = Duration::from_secs(10);
 /// first was late. With a larger step it has more likely jumped.
 const LONGEST_DELAY: Duration = Duration::from_secs(1);
 
-/// Largest share of a line's time that a stream may take. A fuller line hardly catches up after a pause:
-/// all scans would come late, at a pace so even that the sensor's clock seemed slow.
-const LARGEST_SHARE: (u32, u32) = (9, 10);
-
 /// Scans that were asked for once, and come until the sensor is told to stop.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Running {
@@ -46,6 +42,7 @@ pub(super) struct Running {
     pub(super) skipped: u8,
     /// When it was asked for.
     begun: Instant,
+    shortest_period: Duration,
 }
 
 /// What a stream has sent, and the driver has not yet delivered: scans and errors.
@@ -58,13 +55,18 @@ impl Scip2<'_> {
         if self.line.transport.is_replay() {
             return false;
         }
-        let Some(baud_rate) = self.line.believed_baud_rate() else { return true };
         let running = self.state.running.as_ref();
         let window = running.map_or(wish.window, |running| running.window.hull(&wish.window));
         let command = Command::Stream(Stream::new(self.state.data, window));
-        let bytes = Request::new(command, None).reply_len().unwrap_or(0);
         let period = self.state.revolution() * (u32::from(wish.skipped) + 1);
-        baud_rate.wire_time(bytes) <= period * LARGEST_SHARE.0 / LARGEST_SHARE.1
+        period >= self.shortest_period(&Request::new(command, None))
+    }
+
+    /// Returns the shortest period at which the line carries a stream's scans. A fuller line hardly
+    /// catches up after a pause: all came late, at a pace so even that the sensor's clock seemed slow.
+    fn shortest_period(&self, request: &Request) -> Duration {
+        let bytes = request.reply_len().unwrap_or(0);
+        self.line.believed_baud_rate().map_or(Duration::ZERO, |rate| rate.wire_time(bytes) * 10 / 9)
     }
 
     /// Starts a stream that holds the window, unless such a one runs.
@@ -87,7 +89,8 @@ impl Scip2<'_> {
         self.state.has_stray_frames |= answer.is_err();
         let answer = accepted(answer?)?;
         let (request, begun) = (answer.request, answer.times.requested);
-        let running = Running { request, window, skipped, begun };
+        let shortest_period = self.shortest_period(&request);
+        let running = Running { request, window, skipped, begun, shortest_period };
         (self.state.running, self.state.keeps_laser) = (Some(running), Some(true));
         // The first answer may be lost, and a scan come in its place.
         if let Content::Scan(scan) = answer.content {
@@ -319,8 +322,11 @@ impl State {
         let mut acquired = acquired(scan, times);
         if let Some(told) = acquired.told.as_deref_mut().filter(|_| !times.is_replayed) {
             let (stamp, turns) = (stamp.since_zero(), u32::from(running.skipped) + 1);
-            told.revolution = self.clock.observe(stamp, WRAP, times.began, running.begun, turns);
-            told.motor = self.clock.stats();
+            let revolution = self.clock.observe(stamp, WRAP, times.began, running.begun, turns);
+            // The motor may turn faster than the sensor tells.
+            if self.revolution() * turns >= running.shortest_period {
+                (told.revolution, told.motor) = (revolution, self.clock.stats());
+            }
         }
         self.waiting.push_back(Ok(Streamed { window, acquired }));
     }
