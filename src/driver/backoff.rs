@@ -2,8 +2,7 @@
 
 use std::time::Duration;
 
-/// Delays that double, with jitter: drivers that lost their links together, as on one USB hub,
-/// do not retry together.
+/// Delays that double, with jitter: drivers on one USB hub lose their links together.
 pub(crate) struct Backoff {
     shortest: Duration,
     longest: Duration,

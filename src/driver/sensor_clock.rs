@@ -1,5 +1,4 @@
-//! [`SensorClock`]: estimates when the revolutions of a stream ended, from the sensor's clock and the
-//! arrivals of its scans.
+//! [`SensorClock`]: estimates when revolutions ended, from the sensor's clock and its scans' arrivals.
 //!
 //! A sensor of SCIP 2 stamps each scan with its own clock, in whole milliseconds, and sends it when the
 //! revolution ends. The clock runs up to 0.2 % fast or slow. The host reads the first byte later: by up

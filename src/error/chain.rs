@@ -4,8 +4,7 @@ use std::fmt;
 
 /// Error and its causes on one line: `Display` joins them with `: `.
 ///
-/// Leaves out a cause whose text already ends the line: some errors include the text of their
-/// cause. Wraps any error.
+/// Leaves out a cause whose text already ends the line: some errors include it. Wraps any error.
 ///
 /// ```
 /// use tokio_scip::{Error, ErrorChain};

@@ -1,5 +1,4 @@
-//! [`list`] and [`PortInfo`]: the serial ports of this machine, and which of them are
-//! likely to have a sensor.
+//! [`list`] and [`PortInfo`]: this machine's serial ports, and which are likely to have a sensor.
 
 use std::fs;
 use std::io;

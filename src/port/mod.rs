@@ -1,5 +1,4 @@
-//! Ports, through which a driver reaches its sensor. [`Connect`] opens a [`Port`], and
-//! [`Endpoint`] names one.
+//! Ports, through which a driver reaches its sensor. [`Connect`] opens one, and [`Endpoint`] names it.
 //!
 //! You need none of this for serial ports and TCP: pass their name to
 //! [`Sensor::open`](crate::Sensor::open). For a transport of your own, open a stream in a closure:

@@ -11,8 +11,7 @@ use crate::BaudRate;
 
 /// Any stream of bytes as a [`Port`] without a baud rate.
 ///
-/// Use it in your own [`Connect`](super::Connect), which has an example. Dropping the
-/// port drops the stream.
+/// Use it in your own [`Connect`](super::Connect), which has an example. Dropping it drops the stream.
 #[derive(Debug)]
 pub struct StreamPort<T> {
     pub(super) stream: T,

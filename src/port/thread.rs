@@ -19,8 +19,7 @@ use tokio::sync::oneshot;
 #[cfg(feature = "serial")]
 const GRACE: Duration = Duration::from_millis(20);
 
-/// Runs `call` in the context of this runtime. The receiver gets its result; without a receiver
-/// the thread drops it.
+/// Runs `call` in the context of this runtime. The receiver gets its result, or the thread drops it.
 ///
 /// # Errors
 ///

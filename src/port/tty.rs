@@ -19,8 +19,7 @@ const MAX_READ_BYTES: usize = 2048;
 /// True if a short read proves that the system's buffer is empty and that new bytes re-arm
 /// readiness: terminals with edge-triggered epoll.
 const SHORT_READ_IS_ALL: bool = cfg!(any(target_os = "linux", target_os = "android"));
-/// Delay before retrying a write on a port with a full buffer: about the time of one
-/// command on the slowest line.
+/// Delay before retrying a write on a full port: about the time of one command on the slowest line.
 const RETRY_INTERVAL: Duration = Duration::from_millis(5);
 
 /// Serial port that is registered for reading only.

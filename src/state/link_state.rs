@@ -65,8 +65,7 @@ impl LinkState {
         StateWatch { receiver: self.state.subscribe(), name: self.name.clone() }
     }
 
-    /// Enters a state, and logs it. Does nothing if an attempt failed for the same reason as
-    /// the previous one.
+    /// Enters a state, and logs it, unless an attempt failed for the same reason as the one before.
     pub(super) fn enter(&self, state: State) {
         self.log(&state);
         if matches!(state, State::Disconnected { .. } | State::Closed { .. }) {

@@ -49,8 +49,7 @@ impl Drop for StreamClient {
 }
 
 impl ScanStream {
-    /// Waits for the next scan or error, or `None` after the end. The same as `StreamExt::next`,
-    /// without an import.
+    /// Waits for the next scan or error, or `None` after the end: `StreamExt::next` without an import.
     ///
     /// Cancel-safe: you lose no item by dropping this future.
     pub async fn next(&mut self) -> Option<Result<Scan, Error>> {

@@ -13,8 +13,7 @@ use super::Session;
 use crate::protocol::MalformedError;
 use crate::{BaudRate, ErrorKind};
 
-/// How long the sensor may take to answer during the baud rate search, in addition to the time of
-/// the bytes on the wire.
+/// How long the sensor may take to answer in the baud rate search, beside the bytes' time on the wire.
 const SEARCH_LATENCY: Duration = Duration::from_millis(400);
 /// Time from the reply until the new baud rate applies: one revolution of most sensors, two of some.
 const CHANGE_TIME: Duration = Duration::from_millis(200);

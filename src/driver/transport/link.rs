@@ -1,5 +1,4 @@
-//! The link outside of an exchange: its baud rate, how it began and ended, and the bytes that
-//! arrive while it is idle.
+//! The link outside of an exchange: its baud rate, its beginning and end, and bytes while it is idle.
 
 use std::future::poll_fn;
 use std::io;

@@ -15,8 +15,7 @@ use tokio::time::Instant;
 const MEASURED_FIRST: usize = 3;
 /// Number of measured scans that count as recent.
 const RECENT: usize = 8;
-/// Smallest number of missing bytes worth measuring. For fewer bytes, the wake-ups at both
-/// ends take most of the time.
+/// Smallest number of missing bytes worth measuring: with fewer, wake-ups take most of the time.
 const MIN_BYTES: usize = 256;
 /// Smallest number of missing pieces worth a pause, if they are as large as the first. A URG on USB
 /// sends its scans in four frames, and to suspend and resume the wake-ups costs more than three.

@@ -66,6 +66,8 @@ pub(super) struct State {
     latest: Option<(Stamp, Instant, Option<u8>)>,
     /// True if that one came twice.
     was_copied: bool,
+    /// How long a scan of a stream takes to arrive.
+    took: Duration,
 }
 
 impl State {
@@ -85,6 +87,7 @@ impl State {
             clock: SensorClock::new(Geometry::URG_04LX.revolution()),
             latest: None,
             was_copied: false,
+            took: Duration::ZERO,
         }
     }
 

@@ -34,6 +34,17 @@ const OLDEST: Duration = Duration::from_secs(10);
 /// first was late. With a larger step it has more likely jumped.
 const LONGEST_DELAY: Duration = Duration::from_secs(1);
 
+/// Returns true if a line carries scans that take this long, one each `period`. A fuller line hardly
+/// catches up after a pause: all come late, at a pace so even that the sensor's clock seems slow.
+fn is_carried(took: Duration, period: Duration) -> bool {
+    took <= period * 9 / 10
+}
+
+/// Time that the reply takes on the line. Zero if the line has no baud rate, or an unknown one.
+fn wire_time(request: &Request, baud_rate: Option<BaudRate>) -> Duration {
+    baud_rate.map_or(Duration::ZERO, |rate| rate.wire_time(request.reply_len().unwrap_or(0)))
+}
+
 /// Scans that were asked for once, and come until the sensor is told to stop.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Running {
@@ -42,7 +53,6 @@ pub(super) struct Running {
     pub(super) skipped: u8,
     /// When it was asked for.
     begun: Instant,
-    shortest_period: Duration,
 }
 
 /// What a stream has sent, and the driver has not yet delivered: scans and errors.
@@ -58,15 +68,8 @@ impl Scip2<'_> {
         let running = self.state.running.as_ref();
         let window = running.map_or(wish.window, |running| running.window.hull(&wish.window));
         let command = Command::Stream(Stream::new(self.state.data, window));
-        let period = self.state.revolution() * (u32::from(wish.skipped) + 1);
-        period >= self.shortest_period(&Request::new(command, None))
-    }
-
-    /// Returns the shortest period at which the line carries a stream's scans. A fuller line hardly
-    /// catches up after a pause: all came late, at a pace so even that the sensor's clock seemed slow.
-    fn shortest_period(&self, request: &Request) -> Duration {
-        let bytes = request.reply_len().unwrap_or(0);
-        self.line.believed_baud_rate().map_or(Duration::ZERO, |rate| rate.wire_time(bytes) * 10 / 9)
+        let took = wire_time(&Request::new(command, None), self.line.believed_baud_rate());
+        is_carried(took, self.state.period(wish.skipped))
     }
 
     /// Starts a stream that holds the window, unless such a one runs.
@@ -89,8 +92,7 @@ impl Scip2<'_> {
         self.state.has_stray_frames |= answer.is_err();
         let answer = accepted(answer?)?;
         let (request, begun) = (answer.request, answer.times.requested);
-        let shortest_period = self.shortest_period(&request);
-        let running = Running { request, window, skipped, begun, shortest_period };
+        let running = Running { request, window, skipped, begun };
         (self.state.running, self.state.keeps_laser) = (Some(running), Some(true));
         // The first answer may be lost, and a scan come in its place.
         if let Content::Scan(scan) = answer.content {
@@ -192,8 +194,7 @@ impl Scip2<'_> {
     /// Expects the next scan of the stream, if one runs, within the time that a command has.
     pub(super) fn expect_scan(&mut self) {
         let Some(running) = &self.state.running else { return };
-        let turns = u32::from(running.skipped) + 1;
-        let latency = self.latency(running.request.command()) + turns * self.state.revolution();
+        let latency = self.latency(running.request.command()) + self.state.period(running.skipped);
         let within: Duration = self.time_limit(&running.request, latency);
         self.line.transport.expect_unasked(&LIMITS, within);
     }
@@ -271,6 +272,11 @@ impl State {
         match Reply::parse(&request, frame) {
             Ok(Reply { content: Content::Scan(scan), .. }) => {
                 self.add_scan(running, scan, times, shared);
+                // It follows slowly: one packet may come late.
+                let took = times.received.duration_since(times.began);
+                let (took, step) =
+                    (took.max(wire_time(&request, baud_rate)), self.period(running.skipped) / 16);
+                self.took = took.clamp(self.took.saturating_sub(step), self.took + step);
             }
             // The answer to the command, once more.
             Ok(Reply { status, .. }) if status.is_ok() => {}
@@ -293,6 +299,11 @@ impl State {
         self.clock.stats().map_or(self.geometry.revolution(), |motor| motor.revolution)
     }
 
+    /// Time from scan to scan of a stream that leaves so many out.
+    fn period(&self, skipped: u8) -> Duration {
+        self.revolution() * (u32::from(skipped) + 1)
+    }
+
     /// Lets a scan wait, unless it is a copy of the latest one, or comes after a newer one.
     fn add_scan(&mut self, running: Running, scan: Scan, times: ReplyTimes, shared: &Shared) {
         let latest = self.latest.replace((scan.stamp, times.received, Some(running.skipped)));
@@ -300,9 +311,8 @@ impl State {
         // One copy may come late. More than one are scans of a clock that stands still.
         let may_be_copy = !std::mem::replace(&mut self.was_copied, is_same);
         if let Some((stamp, received, skipped)) = latest {
-            let revolution = self.revolution();
             let since = times.began.duration_since(received);
-            let is_soon = since < revolution / 2;
+            let is_soon = since < self.revolution() / 2;
             // At its own time, it is the first scan after a jump of the clock.
             let is_old = is_soon && between(scan.stamp, stamp) < OLDEST;
             if is_old || is_same && (is_soon || may_be_copy) {
@@ -310,7 +320,7 @@ impl State {
                 tracing::trace!("the line has delivered a scan twice, or an old one");
                 return;
             }
-            let period = revolution * (u32::from(running.skipped) + 1);
+            let period = self.period(running.skipped);
             let passed = between(stamp, scan.stamp);
             // Of the scans that the sensor has left out, none is lost.
             if skipped == Some(running.skipped) && passed < since + LONGEST_DELAY {
@@ -323,8 +333,8 @@ impl State {
         if let Some(told) = acquired.told.as_deref_mut().filter(|_| !times.is_replayed) {
             let (stamp, turns) = (stamp.since_zero(), u32::from(running.skipped) + 1);
             let revolution = self.clock.observe(stamp, WRAP, times.began, running.begun, turns);
-            // The motor may turn faster than the sensor tells.
-            if self.revolution() * turns >= running.shortest_period {
+            // The motor may turn faster than the sensor tells, and the line be slower than is known.
+            if is_carried(self.took, self.period(running.skipped)) {
                 (told.revolution, told.motor) = (revolution, self.clock.stats());
             }
         }
