@@ -27,8 +27,7 @@ impl Backoff {
         self.next = self.shortest;
     }
 
-    /// Returns the current delay plus up to 10 % jitter, then doubles it. The jitter may
-    /// exceed the longest delay.
+    /// Returns the delay plus up to 10 % jitter, even beyond the longest, then doubles it.
     pub(crate) fn next(&mut self) -> Duration {
         let wait = self.next;
         self.next = (wait * 2).min(self.longest);

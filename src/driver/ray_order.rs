@@ -19,8 +19,7 @@ pub(crate) struct RayOrder {
     latest: Option<(Instant, Instant)>,
     /// Sensor's clock of the latest scan, if it tells.
     clock: Option<u32>,
-    /// How much faster scans come than a motor turns, in nanoseconds. A late reply makes it a
-    /// revolution at most.
+    /// By how many nanoseconds scans come faster than a motor turns: a late one makes it a revolution.
     ahead: u64,
 }
 

@@ -74,8 +74,7 @@ pub enum ErrorKind {
         /// Text that came in place of replies, such as a server's banner.
         words: Option<Text>,
     },
-    /// The other end sent text in place of a reply, and closed the port: a serial server that
-    /// cannot serve you.
+    /// The other end sent text in place of a reply, and closed the port: a serial server refused you.
     #[non_exhaustive]
     Rejected {
         /// Its text, such as `Port already in use`.

@@ -81,8 +81,7 @@ impl Error {
     /// [`NoAnswer`](ErrorKind::NoAnswer), [`Rejected`](ErrorKind::Rejected),
     /// [`Disconnected`](ErrorKind::Disconnected), [`Timeout`](ErrorKind::Timeout),
     /// [`Malformed`](ErrorKind::Malformed) and [`NotConfirmed`](ErrorKind::NotConfirmed). For the
-    /// others, change the machine, the sensor or the program first. A driver that has ended stays
-    /// ended, whatever the error.
+    /// others, change the machine, the sensor or the program first. A driver that has ended stays ended.
     pub fn is_transient(&self) -> bool {
         self.kind().is_transient()
     }

@@ -1,8 +1,7 @@
 //! [`AnyConnect`]: a [`Connect`] of any type, behind a pointer.
 //!
 //! With it the driver has one type, and is compiled with this crate. A driver generic over the
-//! connector would be compiled again in your program, which takes seconds of each build
-//! (`benches/README.md`, item 8).
+//! connector would be compiled again in your program, which takes seconds (`benches/README.md`, item 8).
 
 use std::future::Future;
 use std::pin::Pin;

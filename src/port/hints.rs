@@ -11,8 +11,7 @@ use std::time::SystemTime;
 /// [`Port::hints`](super::Port::hints).
 ///
 /// All methods are optional, and each default is safe. Override a method only if it is true of your
-/// transport: its documentation says what breaks otherwise. The driver calls all methods in its
-/// task: they must not block.
+/// transport: its documentation says what breaks otherwise. Methods must not block the driver's task.
 ///
 /// ```
 /// use tokio_scip::port::PortHints;

@@ -10,8 +10,7 @@ use super::thread;
 use crate::Error;
 use crate::protocol::Text;
 
-/// Number of Hokuyo as the vendor of a USB device. Known sensors have the product number 0, but no list
-/// of all models exists.
+/// Number of Hokuyo as the vendor of a USB device. Known sensors have the product number 0.
 const HOKUYO: u16 = 0x15d1;
 
 /// Serial port of this machine, as the system describes it. Listing does not open the port.
@@ -37,8 +36,7 @@ pub struct PortInfo {
     pub likely_sensor: bool,
 }
 
-/// Lists the serial ports of this machine: likely sensors first, then other USB ports,
-/// then the rest, each sorted by path.
+/// Lists the serial ports of this machine: likely sensors, other USB ports, the rest, each sorted by path.
 ///
 /// Leaves out pseudo-terminals and names without hardware (`/dev/ttyS1`). Runs on a
 /// thread of its own. Cancel-safe.
@@ -75,8 +73,7 @@ pub(super) fn available() -> Result<Vec<SerialPortInfo>, Error> {
 
 const SYS_CLASS_TTY: &str = "/sys/class/tty";
 
-/// Returns true if the kernel has reserved the name but found no UART. A PC with one UART
-/// has 4 or 32 such names.
+/// Returns true if the kernel has reserved the name but found no UART: a PC has 4 or 32 such names.
 fn is_without_hardware(path: &str) -> bool {
     const UNKNOWN_UART: &str = "0";
     Path::new(path)

@@ -153,8 +153,7 @@ pub trait Connect: Send + 'static {
 
     /// Opens the port. Must not send anything.
     ///
-    /// The future must be cancel-safe: the driver drops it when the open timeout has passed,
-    /// or when the driver itself ends.
+    /// The future must be cancel-safe: the driver drops it after the open timeout, or when it ends.
     ///
     /// # Errors
     ///

@@ -67,8 +67,7 @@ fn explain_with(port: &str, error: tokio_serial::Error, node: io::Result<Node>) 
         (Cause::Io(io::ErrorKind::PermissionDenied), _) if !node.is_new => {
             ErrorKind::PermissionDenied { port, group: node.group }
         }
-        // EPERM: a container or a sandbox without access to the device. Joining a group
-        // does not help there.
+        // EPERM: a container or a sandbox without the device. Joining a group does not help there.
         (Cause::Unknown, "Operation not permitted") => {
             ErrorKind::PermissionDenied { port, group: None }
         }

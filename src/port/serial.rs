@@ -187,8 +187,7 @@ impl Port for SerialPort {
 }
 
 impl PortHints for SerialPort {
-    /// Returns true for RS-232, where a sensor without power is silent. A sensor's own USB
-    /// port disappears with it.
+    /// Returns true for RS-232, where a sensor without power is silent: a USB port disappears with it.
     fn can_die_silently(&mut self) -> bool {
         !self.is_usb_sensor
     }
@@ -275,8 +274,7 @@ impl SerialOpener {
 
     /// Opens a port by its path (Unix) or name (Windows), on a thread of its own. If you drop the
     /// future, the port is closed as soon as it is open, and is busy until then. Waits first until the
-    /// port of an earlier call is closed: it would be busy, and calls that hang in the system would
-    /// each keep a thread.
+    /// port of an earlier call is closed: it would be busy, and each call that hangs keep a thread.
     pub(super) async fn open(&self, path: &str) -> Result<SerialPort, Error> {
         let lock = Arc::clone(&self.lock).lock_owned().await;
         let owned = path.to_owned();

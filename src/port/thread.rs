@@ -1,7 +1,6 @@
 //! Calls of the system that may wait, each on a thread of its own.
 //!
-//! tokio's blocking threads do not serve: a runtime that is dropped waits for their calls, and
-//! starts no more of them.
+//! tokio's blocking threads do not serve: a dropped runtime waits for their calls, and starts none.
 
 use std::io;
 #[cfg(feature = "serial")]

@@ -80,8 +80,7 @@ impl Tty {
         self.port.bytes_to_write()
     }
 
-    /// Removes the lock by `TIOCEXCL`, which a pseudo-terminal keeps if the program ends before
-    /// the port is closed.
+    /// Removes the lock by `TIOCEXCL`, which a pseudo-terminal keeps if the program ends first.
     pub(super) fn unlock(&mut self) {
         // Fails only if the port is gone.
         let _ = self.port.set_exclusive(false);

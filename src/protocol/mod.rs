@@ -1,8 +1,7 @@
 //! SCIP 1.1 as plain values and bytes: encodes each command, and validates a reply
 //! against its command. [`scip2`] does the same for SCIP 2.
 //!
-//! Nothing here does I/O, reads a clock or writes a log. "p. 6" and the like are pages of
-//! the protocol text, C-42-3320-A.
+//! Nothing here does I/O, reads a clock or writes a log. "p. 6" is a page of C-42-3320-A.
 //!
 //! ```
 //! use tokio_scip::protocol::{Command, Geometry, Measurement, Reply, Window};

@@ -44,8 +44,7 @@ pub struct Pose {
     pub y: f64,
     /// Direction of the sensor's front: radians counter-clockwise from the other frame's x axis.
     pub heading: f64,
-    /// True if the sensor is turned over about its x axis (a roll of 180 degrees): its left is
-    /// to the right of its heading.
+    /// True if the sensor is turned over about its x axis (a roll of 180 degrees): left is right then.
     #[cfg_attr(feature = "serde", serde(default))]
     pub upside_down: bool,
 }

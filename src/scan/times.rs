@@ -31,12 +31,10 @@ pub struct ScanTimes {
     /// the next of a stream.
     pub requested_at: Instant,
     /// The same moment as [`Scan::first_ray_stamp`], on tokio's clock. Use it to compare the scan
-    /// with other events in your service, whatever happens to the wall clock. A replay has the
-    /// times of the replay.
+    /// with other events in your service, whatever happens to the wall clock. A replay has its own.
     pub first_ray_at: Instant,
     /// Wall clock when the reply's first byte arrived. The sensor sends what it has in memory, so
-    /// the motor's revolution was over by then. The time can jump back when someone sets the
-    /// system's clock.
+    /// the motor's revolution was over by then. It can jump back if the clock is set.
     ///
     /// Uses the system's clock even where you pause tokio's: only the fields of type `Instant` and
     /// [`Scan::received_at`] follow a test's time. A replay has the stamps of its recording.

@@ -1,5 +1,4 @@
-//! [`Sensor`], the handle that a service holds. Its methods send requests to the driver, or read
-//! what the driver reports.
+//! [`Sensor`], the handle that a service holds: it sends requests to the driver, or reads its reports.
 
 mod builder;
 
@@ -21,8 +20,7 @@ use crate::{BaudRate, Error, Geometry, Rate, Scan, Window};
 /// first come, first served, and alternates them with the polls of streams.
 ///
 /// The driver stops and closes the port when you drop the last handle and the last stream, or on
-/// [`close`](Self::close). You can drop a handle anywhere: dropping never blocks or spawns, and
-/// needs no runtime.
+/// [`close`](Self::close). Dropping a handle never blocks or spawns, and needs no runtime.
 ///
 /// # Cancel safety
 ///
@@ -44,8 +42,7 @@ pub struct Sensor {
 }
 
 impl Sensor {
-    /// Opens the sensor behind `endpoint` with the builder's defaults. Spawns the driver on the
-    /// current tokio runtime.
+    /// Opens the sensor behind `endpoint` by the builder's defaults. Spawns the driver on this runtime.
     ///
     /// Pass an [`Endpoint`], a path, or a string that names an endpoint, such as `/dev/ttyACM0`,
     /// `COM3`, `tcp://host:port?baud=115200` or `serial:H0713090`.

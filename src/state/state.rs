@@ -16,8 +16,7 @@ use crate::{BaudRate, Error};
 /// in snake case. The other fields follow: `baud_rate` in baud, `since` as seconds
 /// before now, `error` as the text of the error and its causes.
 ///
-/// Only `Connected` may get more fields. You can construct the other states, to test how
-/// your service reacts.
+/// Only `Connected` may get more fields. You can construct the others, to test your service.
 #[derive(Debug, Clone)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[cfg_attr(feature = "serde", serde(tag = "state", rename_all = "snake_case"))]
@@ -62,8 +61,7 @@ pub enum State {
 }
 
 impl State {
-    /// Baud rate of the line to the sensor. `None` on USB and Ethernet, and unless
-    /// [connected](Self::Connected).
+    /// Baud rate of the line. `None` on USB and Ethernet, and unless [connected](Self::Connected).
     pub fn baud_rate(&self) -> Option<BaudRate> {
         match self {
             Self::Connected { baud_rate, .. } => *baud_rate,

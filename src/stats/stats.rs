@@ -60,8 +60,7 @@ pub struct Stats {
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct MalformedCounts {
-    /// Another command was echoed, the echo was damaged, or the reply began before its command can
-    /// have left the wire.
+    /// Another command was echoed, or a damaged one, or the reply began before its command had left.
     pub echo: u64,
     /// The status is missing, or has the wrong form for the protocol. In SCIP 2 also a missing line.
     pub status: u64,

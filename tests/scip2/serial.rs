@@ -238,3 +238,29 @@ async fn a_backlog_on_a_full_line_shows_no_clock() {
         }
     }
 }
+
+/// How long a reply takes behind a bridge is learned from the ones before, in either protocol.
+#[tokio::test(start_paused = true)]
+async fn a_line_of_unknown_speed_delivers_every_reply() {
+    for seed in seeds("SCIP_BRIDGES", 60) {
+        let mut random = Random::new(seed);
+        let baud_rate = *random.pick(&BaudRate::ALL);
+        let emulator = numbered(Model::Urg04lx).firmware(Firmware::V31);
+        let emulator = emulator.baud_rate(baud_rate).build();
+        let protocol = *random.pick(&[Protocol::Scip1, Protocol::Scip2]);
+        let asking = builder().protocol(protocol);
+        let sensor = asking.attach(emulator.bridge(baud_rate)).await.unwrap();
+        let first = 44 + random.below(300) as u16;
+        let window = Window::new(first..=first + random.below(382) as u16).unwrap();
+        let rate = *random.pick(&[Rate::UNLIMITED, Rate::hz(3.0), Rate::hz(0.3)]);
+        let mut stream = sensor.scans(window, rate).await.unwrap();
+        for _ in 0..8 {
+            let scan = next(&mut stream).await;
+            assert_eq!(scan.window(), window, "seed {seed}");
+            if random.below(4) == 0 {
+                sensor.scan(Window::DETECTION).await.unwrap();
+            }
+        }
+        assert_eq!(sensor.stats().timeouts, 0, "seed {seed}, {baud_rate}, {protocol:?}");
+    }
+}

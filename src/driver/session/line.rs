@@ -20,9 +20,6 @@ pub(super) struct Line {
     pub(super) transport: Transport,
     /// True if no reply older than the next command can be on its way.
     pub(super) is_settled: bool,
-    /// True once a reply arrived faster than the port's baud rate allows, as on a
-    /// pseudo-terminal, a USB adapter or a server on a fast line.
-    pub(super) is_baud_rate_disproved: bool,
     /// How long the sensor may take to begin its answer, if set.
     pub(super) reply_latency: Option<Duration>,
     pub(super) observers: Arc<ReplyObservers>,
@@ -30,11 +27,6 @@ pub(super) struct Line {
 }
 
 impl Line {
-    /// Baud rate of the line, unless it has none or a reply has disproved it.
-    pub(super) fn believed_baud_rate(&self) -> Option<BaudRate> {
-        self.transport.baud_rate().filter(|_| !self.is_baud_rate_disproved)
-    }
-
     /// Returns true if the sensor can be searched for at several baud rates.
     pub(super) fn is_searchable(&self) -> bool {
         self.transport.adjustable && self.transport.baud_rate().is_some()
@@ -47,7 +39,6 @@ impl Line {
 
     /// Sets this side's baud rate. Forgets what is known of the line at the former one.
     pub(super) async fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
-        self.is_baud_rate_disproved = false;
         self.shared.counters.lock().stats.baud_rate_disproved = false;
         self.transport.set_baud_rate(baud_rate).await
     }
@@ -83,7 +74,7 @@ impl Line {
 
     #[cold]
     fn disprove_baud_rate(&mut self) {
-        self.is_baud_rate_disproved = true;
+        self.transport.is_baud_rate_disproved = true;
         self.shared.counters.lock().stats.baud_rate_disproved = true;
         tracing::debug!("replies come faster than the baud rate can carry");
     }

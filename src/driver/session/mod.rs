@@ -122,7 +122,6 @@ impl Session {
             transport,
             // The last user of the port may have left bytes behind.
             is_settled: false,
-            is_baud_rate_disproved: false,
             reply_latency: config.reply_latency,
             observers: Arc::clone(&config.observers),
             shared,
@@ -213,7 +212,7 @@ impl Session {
 
     /// Baud rate of the line, unless it has none or a reply has disproved it.
     pub(crate) fn believed_baud_rate(&self) -> Option<BaudRate> {
-        self.scip1.line.believed_baud_rate()
+        self.scip1.line.transport.believed_baud_rate()
     }
 
     /// Returns true if the sensor can be searched for at several baud rates.

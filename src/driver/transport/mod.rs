@@ -26,6 +26,7 @@ use tokio::time::Instant;
 
 use self::budget::poll_read;
 use self::greeting::Greeting;
+use self::link::FAST;
 use self::pause::Pauses;
 pub(crate) use self::received::{ReceivedFrame, ReplyTimes};
 pub(crate) use self::timer::Timer;
@@ -81,6 +82,11 @@ pub(crate) struct Transport {
     pub(crate) interrupted: bool,
     /// True if the port can change its baud rate, as far as known from trying.
     pub(crate) adjustable: bool,
+    /// True once a reply arrived faster than the port's baud rate allows, as on a
+    /// pseudo-terminal, a USB adapter or a server on a fast line.
+    pub(crate) is_baud_rate_disproved: bool,
+    /// Speed in bits a second of the fastest reply so far.
+    speed: u64,
 }
 
 /// What to expect after a command, or next of frames that come unasked.
@@ -144,6 +150,8 @@ impl Transport {
             pauses: Pauses::default(),
             interrupted,
             adjustable: false,
+            is_baud_rate_disproved: false,
+            speed: 0,
         }
     }
 
@@ -264,6 +272,9 @@ impl Transport {
         times.received = received;
         self.latest_at = Some(received);
         self.pauses.end_reply(received, frame.wire_len());
+        if self.speed < FAST {
+            self.measure_speed(&times, frame.wire_len());
+        }
         ReceivedFrame { input: &mut self.input, frame, times }
     }
 

@@ -10,8 +10,7 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// Number of scans to read piece by piece, and measure, before the first pause. A single scan
-/// may have been slow.
+/// Number of scans to read piece by piece, and measure, before the first pause: one may have been slow.
 const MEASURED_FIRST: usize = 3;
 /// Number of measured scans that count as recent.
 const RECENT: usize = 8;

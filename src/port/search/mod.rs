@@ -1,5 +1,4 @@
-//! Searches for a sensor by its serial number: chooses the next port to open. The driver
-//! checks which sensor it has.
+//! Searches for a serial number: chooses the next port to open. The driver checks which sensor it has.
 
 mod system_ports;
 #[cfg(test)]
@@ -58,8 +57,7 @@ struct Pass {
     tried: Vec<String>,
     /// True if opening a port took too long.
     is_hung: bool,
-    /// When to give up on busy ports. Kept here, so that a caller that drops its futures early
-    /// does not wait for ever.
+    /// When to give up on busy ports. Kept here, for callers that drop their futures early.
     busy_until: Option<Instant>,
 }
 

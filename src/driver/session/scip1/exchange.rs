@@ -63,7 +63,7 @@ impl Scip1 {
     ) -> Result<Answer, ExchangeError> {
         self.line.is_settled = false;
         let within = self.wire_time(&command) + self.latency(&command);
-        let baud_rate = self.line.believed_baud_rate();
+        let baud_rate = self.line.transport.believed_baud_rate();
         let bytes = command.bytes();
         let expected = expected(&command, &bytes);
         let received = match self.line.transport.ask(&bytes, &expected, within).await {
@@ -107,7 +107,9 @@ impl Scip1 {
     /// Time of a command and its longest reply on the wire.
     pub(in super::super) fn wire_time(&self, command: &Command) -> Duration {
         let wire_time = |baud_rate| command.wire_time(baud_rate);
-        self.line.transport.baud_rate().map_or(Duration::ZERO, wire_time)
+        let transport = &self.line.transport;
+        let baud_rate = transport.baud_rate().or_else(|| transport.measured_baud_rate());
+        baud_rate.map_or(Duration::ZERO, wire_time)
     }
 
     #[cold]

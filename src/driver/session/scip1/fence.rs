@@ -125,7 +125,7 @@ impl Scip1 {
                 Ok(status) => {
                     let times = received.times;
                     drop(received);
-                    if let Some(baud_rate) = self.line.believed_baud_rate() {
+                    if let Some(baud_rate) = self.line.transport.believed_baud_rate() {
                         self.check_speed(command, baud_rate, status, &times);
                     }
                     return Ok(status);

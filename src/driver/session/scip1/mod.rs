@@ -131,7 +131,7 @@ impl Scip1 {
     /// [`COPY_TIME`] after the frame.
     pub(super) fn may_be_copied(&self) -> bool {
         // Last, because reading the clock costs more than the rest.
-        self.line.believed_baud_rate().is_some()
+        self.line.transport.believed_baud_rate().is_some()
             && self.line.transport.latest_at.is_some_and(|latest| latest.elapsed() < COPY_TIME)
     }
 }

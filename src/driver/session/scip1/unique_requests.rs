@@ -33,8 +33,7 @@ impl UniqueRequests {
         Self { fence: fastrand::u16(..STEPS), ..Self::default() }
     }
 
-    /// Chooses the window to request in order to get `window`: the same window, or one
-    /// with extra points.
+    /// Chooses the window to request in order to get `window`: the same, or one with extra points.
     ///
     /// The choice differs from the latest `G`s as far as the window leaves room. Then
     /// even a reply that a faulty line delivers twice cannot match the next poll.

@@ -76,7 +76,7 @@ impl Scip2<'_> {
     ) -> Result<Answer, ExchangeError> {
         let request = &Request::new(command, self.state.next_label());
         let within = self.time_limit(request, latency);
-        let baud_rate = self.line.believed_baud_rate();
+        let baud_rate = self.line.transport.believed_baud_rate();
         let expected = Expected { reply: None, limits: &LIMITS };
         self.line.is_settled = false;
         if !self.state.is_streaming() {
@@ -152,8 +152,9 @@ impl Scip2<'_> {
     pub(super) fn time_limit(&self, request: &Request, latency: Duration) -> Duration {
         let bytes = request.bytes().len() + 1 + request.reply_len().unwrap_or(TEXT_LEN);
         let bytes = bytes + self.state.bytes_on_the_way();
-        let wire_time = self.line.believed_baud_rate().map(|baud_rate| baud_rate.wire_time(bytes));
-        wire_time.unwrap_or_default() + latency
+        let transport = &self.line.transport;
+        let baud_rate = transport.believed_baud_rate().or_else(|| transport.measured_baud_rate());
+        baud_rate.map_or(latency, |baud_rate| baud_rate.wire_time(bytes) + latency)
     }
 }
 

@@ -46,8 +46,7 @@ pub(super) struct State {
     label: u64,
     /// True if the sensor repeats labels, once it has answered.
     has_labels: Option<bool>,
-    /// True if the sensor may send a stream that belongs to no request of this session: another
-    /// program may have left it.
+    /// True if the sensor may send a stream that another program has left.
     has_stray_frames: bool,
     /// Whether the laser is to be on, also once a stray stream was stopped. `None` until it is switched.
     keeps_laser: Option<bool>,
@@ -276,8 +275,7 @@ impl Scip2<'_> {
         while self.line.transport.next_frame().await.is_ok() {}
     }
 
-    /// Asks for one step until there is an answer, and returns its status: a refusal while the sensor
-    /// does not measure.
+    /// Asks for one step until there is an answer, and returns its status: refused with the laser off.
     pub(super) async fn probe(&mut self) -> Result<Status, ExchangeError> {
         let mut failure = LinkError::Silent(ErrorKind::disconnected(None));
         let mut in_scip1 = 0;

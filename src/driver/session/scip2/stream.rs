@@ -68,7 +68,8 @@ impl Scip2<'_> {
         let running = self.state.running.as_ref();
         let window = running.map_or(wish.window, |running| running.window.hull(&wish.window));
         let command = Command::Stream(Stream::new(self.state.data, window));
-        let took = wire_time(&Request::new(command, None), self.line.believed_baud_rate());
+        let took =
+            wire_time(&Request::new(command, None), self.line.transport.believed_baud_rate());
         is_carried(took, self.state.period(wish.skipped))
     }
 
@@ -162,7 +163,8 @@ impl Scip2<'_> {
 
     /// Receives a scan of the stream, or an error that ends it, and lets it wait.
     fn poll_frame(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), LinkError>> {
-        let (before, baud_rate) = (self.state.waiting.len(), self.line.believed_baud_rate());
+        let (before, baud_rate) =
+            (self.state.waiting.len(), self.line.transport.believed_baud_rate());
         while let Some(running) = &self.state.running
             && self.state.waiting.len() == before
         {
