@@ -36,7 +36,7 @@ pub struct PortInfo {
     pub likely_sensor: bool,
 }
 
-/// Lists the serial ports of this machine: likely sensors, other USB ports, the rest, each sorted by path.
+/// Lists this machine's serial ports: likely sensors, then other USB ports, then the rest, by path.
 ///
 /// Leaves out pseudo-terminals and names without hardware (`/dev/ttyS1`). Runs on a
 /// thread of its own. Cancel-safe.

@@ -153,7 +153,7 @@ pub trait Connect: Send + 'static {
 
     /// Opens the port. Must not send anything.
     ///
-    /// The future must be cancel-safe: the driver drops it after the open timeout, or when it ends.
+    /// The future must be cancel-safe: the driver drops it after the open timeout, or at its own end.
     ///
     /// # Errors
     ///

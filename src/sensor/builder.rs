@@ -250,8 +250,8 @@ impl SensorBuilder {
         opened(self.build_for(endpoint), waits).await
     }
 
-    /// Opens the sensor behind an open byte stream: a socket, a pipe, an emulated sensor. It has no baud
-    /// rate (its speed is measured) and is never reopened: when it ends, the driver ends.
+    /// Opens the sensor behind an open byte stream: a socket, a pipe, an emulated sensor. The stream
+    /// has no baud rate (its speed is measured), and is never reopened: when it ends, the driver ends.
     ///
     /// Fails and panics as [`Sensor::open`] does, but for the errors of opening a port.
     pub async fn attach<T>(mut self, stream: T) -> Result<Sensor, Error>

@@ -42,7 +42,7 @@ pub struct Sensor {
 }
 
 impl Sensor {
-    /// Opens the sensor behind `endpoint` by the builder's defaults. Spawns the driver on this runtime.
+    /// Opens the sensor behind `endpoint` by the builder's defaults. Spawns on the current runtime.
     ///
     /// Pass an [`Endpoint`], a path, or a string that names an endpoint, such as `/dev/ttyACM0`,
     /// `COM3`, `tcp://host:port?baud=115200` or `serial:H0713090`.

@@ -275,7 +275,7 @@ impl Scip2<'_> {
         while self.line.transport.next_frame().await.is_ok() {}
     }
 
-    /// Asks for one step until there is an answer, and returns its status: refused with the laser off.
+    /// Asks for one step until there is an answer. Its status is a refusal while the laser is off.
     pub(super) async fn probe(&mut self) -> Result<Status, ExchangeError> {
         let mut failure = LinkError::Silent(ErrorKind::disconnected(None));
         let mut in_scip1 = 0;
