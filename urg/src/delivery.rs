@@ -5,8 +5,7 @@
 pub(crate) enum Delivery {
     /// Only the newest scan, for live display.
     Newest,
-    /// All scans, for files. A slow consumer may fall nearly two minutes behind a sensor; a
-    /// replay waits for it.
+    /// All scans, for files. A slow consumer may lag by nearly two minutes; a replay waits for it.
     All,
 }
 

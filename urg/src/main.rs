@@ -208,8 +208,7 @@ async fn run_command(command: Command) -> Result<(), Failure> {
         Command::Record(record) => record.run(&interrupt).await,
         Command::Cut(cut) => cut.run(&interrupt).await,
         Command::Repair(repair) => repair.run(&interrupt).await,
-        // These handle it too, but a reader, a client or an engine that hangs must not keep the
-        // program alive.
+        // These handle it too, but a reader, client or engine that hangs must not prevent the exit.
         Command::Stream(stream) => interrupt.limit(stream.run(&interrupt)).await,
         Command::Serve(serve) => interrupt.limit(serve.run(&interrupt)).await,
         Command::Publish(publish) => interrupt.limit(publish.run(&interrupt)).await,

@@ -41,7 +41,7 @@ stop() {
     unset "process[$1]"
 }
 
-sensor() { start sensor "on USB" "$urg" emulate --link "$work/urg"; }
+sensor() { start sensor "emulated sensor" "$urg" emulate --link "$work/urg"; }
 server() { start server "live page" "$urg" serve "$work/urg" --listen "$1"; }
 # served ARGUMENTS...: starts another server, and opens its page.
 served() {
@@ -279,7 +279,7 @@ if "$urg" record emulated "$work/run.mcap" --duration 3s 2>"$work/record"; then
     done
     stop other
     # More scans than a playback keeps, so that it reads the file again and again.
-    start fast "on USB" "$urg" emulate --revolution 10ms --link "$work/quick"
+    start fast "emulated sensor" "$urg" emulate --revolution 10ms --link "$work/quick"
     "$urg" record "$work/quick" "$work/long.mcap" --rate max --count 600 2>"$work/record"
     stop fast
     served "dead=$work/long.mcap" live=emulated --loop --speed 100

@@ -102,6 +102,19 @@ async fn a_sensor_at_19200_baud_serves_at_115200() {
 }
 
 #[test]
+fn an_emulated_sensor_names_its_port_alone() {
+    let link = Scratch::new("ust");
+    let link = link.path();
+    for (options, speed) in [("--model ust-10lx", ""), ("--baud 19200", " at 19200 baud")] {
+        let mut sensor = Running::start(&format!("emulate {options} --link {link}"));
+        let notice = sensor.notice();
+        assert_eq!(notice, format!("urg: emulated sensor H0713090{speed}, on {link}"));
+        sensor.signal("INT");
+        sensor.end();
+    }
+}
+
+#[test]
 fn the_baud_rate_behind_a_bridge_cannot_be_changed() {
     let sensor = Emulated::start("--tcp 0 --baud 57600");
     assert!(sensor.port.ends_with("?baud=57600"), "{}", sensor.port);

@@ -109,11 +109,19 @@ impl Measured {
         let (scans, lost) = (self.count(|stats| stats.scans), self.lost());
         let (polls, refused) = (scans + lost, self.count(|stats| stats.refused));
         let disconnects = self.count(|stats| stats.disconnects);
+        // The driver counts these of all requests, and of replies that come late.
+        let all_timeouts = self.count(|stats| stats.timeouts);
+        let all_malformed = self.count(|stats| stats.malformed.total());
+        let timeouts = all_timeouts.min(self.failed());
+        let malformed = all_malformed.min(self.failed() - timeouts);
+        let refusals = refused.min(self.failed() - timeouts - malformed);
+        let unexplained = lost - timeouts - malformed - refusals;
         let reasons = listed(&[
-            (self.count(|stats| stats.timeouts), "unanswered in time"),
-            (self.count(|stats| stats.malformed.total()), "malformed"),
-            (refused, "refused"),
-            (lost - self.failed(), "lost on the way"),
+            (timeouts, "unanswered in time"),
+            (malformed, "malformed"),
+            (refusals, "refused"),
+            (unexplained.saturating_sub(disconnects), "lost on the way"),
+            (all_timeouts + all_malformed - timeouts - malformed, "failed besides the polls"),
             (disconnects, if disconnects == 1 { "lost link" } else { "lost links" }),
         ]);
         let verdict =
@@ -153,6 +161,7 @@ impl Measured {
         let verdict = if has_failed { Verdict::Failed } else { Verdict::Weak };
         let cause = match &self.shortfall {
             Some(explanation) => explanation.clone(),
+            None if self.count(|stats| stats.disconnects) > 0 => "the link was lost".to_owned(),
             None if self.lost() > 0 => counted(self.lost(), "poll") + " brought no scan",
             None => match self.turns().filter(|turns| Rate::hz(*turns).is_reached_by(reached)) {
                 Some(turns) => format!(

@@ -232,10 +232,30 @@ mod tests {
         let (bad, text) = test(Emulator::builder().usb(), unplugged, 10).await;
         assert!(bad.contains(&("polls", Verdict::Failed)), "{text}");
         assert!(text.contains(": 1 lost link; check cable"), "{text}");
+        assert!(text.contains(": the link was lost\n"), "{text}");
         let much = Faults::none().rate(0.2, Fault::Damaged).seed(1);
         let (bad, text) = test(Emulator::builder().usb(), much, 10).await;
         assert!(bad.contains(&("polls", Verdict::Failed)), "{text}");
         assert!(text.contains("malformed"), "{text}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn reasons_explain_each_missing_scan() {
+        let faults = Faults::none().rate(0.03, Fault::Lost).rate(0.02, Fault::Damaged);
+        let faults = faults.up_to(0.02, Fault::Late(Duration::from_millis(1500)));
+        let mut others = 0;
+        for seed in 0..24 {
+            let model = [Model::Urg04lx, Model::Urg04lxUg01][seed as usize % 2];
+            let sensor = Emulator::builder().model(model).usb();
+            let (_, text) = test(sensor, faults.clone().seed(seed), 5).await;
+            let polls = text.lines().find(|line| line.contains(" polls ")).unwrap();
+            let numbers: Vec<u64> = polls.split(' ').filter_map(|word| word.parse().ok()).collect();
+            let has_others = usize::from(polls.contains("besides"));
+            let reasons: u64 = numbers[2..numbers.len() - has_others].iter().sum();
+            assert_eq!(numbers[0] + reasons, numbers[1], "{seed}: {polls}");
+            others += has_others;
+        }
+        assert!(others > 5, "{others}");
     }
 
     #[tokio::test(start_paused = true)]

@@ -187,19 +187,14 @@ impl Emulate {
 
     /// Prints the port of the sensor, and a command to try.
     fn announce(&self, port: &str) {
-        let line = match self.baud {
-            Some(speed) => format!("at {speed} baud"),
-            None if self.model == ModelName::Ust10lx => "on Ethernet".to_owned(),
-            None => "on USB".to_owned(),
-        };
-        notice(format_args!("emulated sensor {} {line}, on {port}", self.serial_number));
+        let speed = self.baud.map(|speed| format!(" at {speed} baud")).unwrap_or_default();
+        notice(format_args!("emulated sensor {}{speed}, on {port}", self.serial_number));
         let scip2 = if self.model == ModelName::Urg04lx { "" } else { "it speaks SCIP 2: " };
         notice(format_args!("{scip2}try `urg info {port}`; Ctrl-C stops the sensor"));
     }
 }
 
-/// Fails if there is a link at `path` that no emulator has left: its pseudo-terminal exists, or it
-/// never led to one.
+/// Fails if no emulator has left the link at `path`: its terminal exists, or it never led to one.
 #[cfg(unix)]
 fn check_link(path: &Path) -> Result<(), Failure> {
     let terminals = if cfg!(target_os = "linux") { "/dev/pts/" } else { "/dev/ttys" };

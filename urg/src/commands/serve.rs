@@ -15,8 +15,7 @@ use crate::output::notice::notice;
 use crate::picture::PictureArgs;
 use crate::web::{self, Hosts, Site, SiteSource};
 
-/// Send buffer of the system for each client, about ten scans. A slow client lags by at most
-/// these scans.
+/// Send buffer of the system for each client: a slow one lags by at most these ten scans.
 const SEND_BUFFER_BYTES: u32 = 64 * 1024;
 /// Number of connections that the system queues before `accept`. A client that finds the queue full
 /// retries after 1 s, then after 3 s, which would delay `/health` during a burst of connections.

@@ -114,8 +114,7 @@ pub(super) fn restore() -> io::Result<()> {
     KEPT.get().map_or(Ok(()), |kept| Ok(rustix::stdio::dup2_stderr(kept)?))
 }
 
-/// Writes to the original standard error; may block. Ignores errors: standard error is where
-/// they would go.
+/// Writes to the original standard error; may block. Ignores errors: they would go there.
 fn write_now(bytes: &[u8]) {
     #[cfg(all(unix, feature = "dds"))]
     if let Some(mut kept) = KEPT.get() {

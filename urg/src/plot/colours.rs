@@ -64,8 +64,7 @@ pub(crate) const WEAKEST: u32 = 6;
 
 /// Index of an intensity's colour in [`INTENSITIES`].
 pub(crate) fn shade(intensity: u32) -> usize {
-    let doubled = intensity.max(1).ilog2().saturating_sub(WEAKEST);
-    (doubled as usize).min(INTENSITIES.len() - 1)
+    (intensity.max(1).ilog2().saturating_sub(WEAKEST) as usize).min(INTENSITIES.len() - 1)
 }
 
 /// Intensities at the ends of the shades' scale.

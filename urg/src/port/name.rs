@@ -30,8 +30,7 @@ pub(crate) struct PortArg {
 pub(crate) enum PortName {
     Endpoint(Endpoint),
     /// Sensor emulated inside this program. The library does not know the name, so that no
-    /// service mistakes emulated scans for real ones. All emulated sensors share one room,
-    /// each at its own pose.
+    /// service mistakes emulated scans for real ones. All share one room, each at its own pose.
     Emulated(Pose),
     Recording(Recorded),
 }

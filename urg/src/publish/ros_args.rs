@@ -1,5 +1,4 @@
-//! Translates `--ros-args`, as passed by `ros2 run` and launch files, into ordinary options, so
-//! that clap checks both.
+//! Translates `--ros-args`, as of `ros2 run` and launch files, into options that clap checks.
 
 use std::collections::BTreeSet;
 use std::ffi::OsString;
@@ -120,8 +119,7 @@ impl RosArgs {
         Ok(())
     }
 
-    /// Reads the parameters in the first document of `yaml`, which is below `keys`. `text` stands
-    /// for it in messages.
+    /// Reads the parameters below `keys` in the first document of `yaml`, named `text` in messages.
     fn read(&mut self, text: &str, yaml: &str, keys: &[&str]) -> Result<(), Failure> {
         let mut events = Parser::new_from_str(yaml);
         let mut next = || match events.next_event().ok_or("it is empty")? {

@@ -22,8 +22,7 @@ const SHORTEST: f64 = 10.0;
 
 /// What the scans read so far tell about the sensor's clock.
 ///
-/// Nothing arrives before it is measured, so the clock runs along the earliest arrivals, however late
-/// the others are.
+/// Nothing arrives before it is measured, so the clock runs along the earliest arrivals.
 #[derive(Debug, Default)]
 pub(super) struct SensorClock {
     /// Latest scan that fits.
@@ -60,8 +59,7 @@ struct Drift {
 }
 
 impl SensorClock {
-    /// Adds a scan at this position on a steady clock. `period` is the time between two scans if the
-    /// sensor sends all.
+    /// Adds a scan at this position on a steady clock. `period` is set if all scans are sent.
     pub(super) fn add(&mut self, clock: Duration, position: Duration, period: Option<Duration>) {
         let (clock, position) = (clock.as_secs_f64(), position.as_secs_f64());
         if let (Some(previous), Some(period)) = (self.previous.replace(clock), period) {

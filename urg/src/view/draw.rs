@@ -1,5 +1,4 @@
-//! Layout of the screen: title, radar, figures beside it, message line, line of keys, and
-//! the help on top.
+//! Layout of the screen: title, radar, figures beside it, messages, keys, and the help on top.
 
 use ratatui::Frame;
 use ratatui::layout::{Alignment, Constraint, Layout, Rect};

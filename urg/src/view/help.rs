@@ -80,8 +80,7 @@ pub(super) fn text(model: &Model) -> String {
     text
 }
 
-/// Breaks lines longer than `width` between words. Continuation lines align with the
-/// meaning of their key.
+/// Breaks lines longer than `width` between words. Continuations align with the key's meaning.
 pub(super) fn folded(text: &str, width: usize) -> Vec<String> {
     let fold = |line: &str| {
         let has_key = line.chars().nth(INDENT - 1) == Some(' ');

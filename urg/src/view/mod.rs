@@ -206,8 +206,7 @@ impl Viewer {
         }
     }
 
-    /// Shows a message about a sensor. With several sensors, prefixes the message with the
-    /// sensor's name or port.
+    /// Shows a message about a sensor, with its name or port if there are several.
     fn show(&mut self, number: usize, text: impl Into<String>) {
         self.model.now = Instant::now();
         let text = text.into();

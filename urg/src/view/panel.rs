@@ -192,8 +192,7 @@ impl Panel<'_> {
         let Some(scan) = &self.layer.scan else { return vec![self.row("points", "none yet")] };
         let points = format!("{} of {}", scan.points().count(), scan.len());
         let mut lines = vec![self.row("points", points), self.row("nearest", nearest(self.layer))];
-        let hidden = scan.points().filter(|point| f64::from(point.range) > reach);
-        match hidden.count() {
+        match scan.points().filter(|point| f64::from(point.range) > reach).count() {
             0 => {}
             count => lines.push(self.row("outside", format!("{count} beyond the rim"))),
         }
@@ -219,8 +218,7 @@ impl Panel<'_> {
         if self.palette == Palette::Plain {
             return Vec::new();
         }
-        let has_shades = self.layer.has_intensities();
-        let (colors, [least, most]) = if has_shades {
+        let (colors, [least, most]) = if self.layer.has_intensities() {
             (self.palette.intensities(), colours::SCALE.map(|end| end.to_string()))
         } else {
             let colors = self.palette.distances();

@@ -1,5 +1,4 @@
-//! Picture of the sensors: rings, points, nearest point, and marks at the rim for directions
-//! without a distance.
+//! Picture of the sensors: rings, points, nearest point, and marks of missing points at the rim.
 //!
 //! A single sensor without a pose has its sector and the directions around it. Otherwise the
 //! picture shows the common frame: each sensor's points have its colour. Only the selected sensor shows its edges and missing distances, because
@@ -188,8 +187,7 @@ impl<'a> Radar<'a> {
         }
     }
 
-    /// Writes a sensor's arrow, and its number among several, at its place, or beside it if the
-    /// place is taken.
+    /// Writes a sensor's arrow, and its number among several, at its place or beside it.
     fn sensor(&self, buffer: &mut Buffer, free: &mut LabelSpace, number: usize, layer: &Layer) {
         let eighths = (pose::yaw(layer.pose) / 45.0).round().rem_euclid(8.0) as usize;
         let arrow = ARROWS.get(eighths).copied().unwrap_or("▲");

@@ -12,8 +12,7 @@ use super::symbols::sign;
 /// Longer names are cut, to leave room for the state beside them.
 const MAX_NAME_CHARS: usize = 10;
 
-/// Builds the panel: three lines for each sensor and the details, or one line for each if `rows`
-/// are too few.
+/// Builds the panel: three lines a sensor and the details, or one each if `rows` are too few.
 pub(super) fn lines(model: &Model, palette: Palette, rows: u16) -> Vec<Line<'static>> {
     let layers = || model.layers.iter().enumerate();
     let mut lines: Vec<_> =

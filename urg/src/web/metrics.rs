@@ -113,8 +113,7 @@ mod tests {
                 assert_eq!(text.matches(&format!("# TYPE {current} ")).count(), 1);
             } else if !line.starts_with("# TYPE ") {
                 assert!(line.starts_with(current), "{line}");
-                let value = line.rsplit(' ').next().unwrap();
-                assert!(value.parse::<f64>().is_ok(), "{line}");
+                assert!(line.rsplit(' ').next().unwrap().parse::<f64>().is_ok(), "{line}");
             }
         }
     }

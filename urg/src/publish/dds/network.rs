@@ -76,8 +76,7 @@ impl Network {
         })
     }
 
-    /// Whether participants on this machine have to be asked one by one: they may not listen to
-    /// multicast.
+    /// Whether to ask participants on this machine one by one: they may not listen to multicast.
     pub(super) fn asks_this_machine(&self, discovery: &Discovery) -> bool {
         match discovery.range {
             Range::Subnet => self.used == [Ipv4Addr::LOCALHOST],

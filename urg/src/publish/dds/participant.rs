@@ -1,5 +1,4 @@
-//! Wrapper of the Cyclone DDS binding: a participant with one writer per topic. No other file
-//! uses the binding.
+//! The only wrapper of the Cyclone DDS binding: a participant with one writer per topic.
 //!
 //! Writers borrow topics, and topics the participant, so one function owns them all, on one thread.
 

@@ -208,8 +208,7 @@ async fn one_sensor_in_trouble_leaves_the_others_drawn() {
 
 #[tokio::test(start_paused = true)]
 async fn a_small_screen_shows_the_selected_sensor_and_trouble() {
-    let front = pose(0.2, 0.0, 0.0);
-    let many: Vec<_> = (0..14).map(|_| ("sensor", front)).collect();
+    let many: Vec<_> = (0..14).map(|_| ("sensor", pose(0.2, 0.0, 0.0))).collect();
     let mut model = placed(&many).await;
     let small = screen(&model, 40, 12);
     assert!(small.contains("▲1") && small.contains("Tab  select"), "{small}");
@@ -237,8 +236,7 @@ async fn a_missing_sensor_is_named() {
             sensors.push((source(port), sensor));
         }
         let mut viewer = Viewer::from_sensors(sensors);
-        let source = std::io::Error::other("no such port");
-        let error = Error::open("/dev/ttyACM1", source);
+        let error = Error::open("/dev/ttyACM1", std::io::Error::other("no such port"));
         viewer.started((1, Err(error))).unwrap();
         let small = rows(&viewer.model, 40, 12)[..11].join("\n");
         assert!(small.contains(&format!("\n {expected}")), "{small}");
