@@ -13,7 +13,9 @@ use urg_recording::Event;
 use urg_recording::{Entry, Recorder, Recording};
 
 use super::formats::{check, scans, values};
-use super::program::{Emulated, Running, STEP_LIMIT, Scratch, failure, program, run, send, shell};
+use super::program::{
+    Emulated, Running, STEP_LIMIT, Scratch, failure, output_of, program, run, send, shell,
+};
 use super::served::{FAST, SCANS, check_held, held};
 
 /// Makes a recording of scans at 10 Hz on the paused clock, and returns their values.
@@ -630,4 +632,29 @@ async fn a_foreign_file_is_a_clear_error() {
     let output = run(&format!("stream {} --rate max", file.path()), 1);
     assert_eq!(output.stderr.lines().count(), 1, "{}", output.stderr);
     assert!(output.stderr.contains("the recording is damaged"), "{}", output.stderr);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_copy_that_would_surprise_is_refused() {
+    let (file, part) = (Scratch::mcap("plain"), Scratch::mcap("surprise"));
+    recording(file.path(), Window::DETECTION, 20).await;
+    let (file, part) = (file.path(), part.path());
+    let folder = std::path::Path::new(file).parent().unwrap().display();
+    let name = std::path::Path::new(file).file_name().unwrap().display();
+    let line = failure(&format!("cut {file} {folder}/./{name} {part}"));
+    assert!(line.contains("named twice"), "{line}");
+    // It would not copy this topic alone.
+    let line = run(&format!("cut {file} {part} --topic /scan"), 2).stderr;
+    assert!(line.contains("--range"), "{line}");
+    let line = run(&format!("cut {file} {part} --range -1..2"), 2).stderr;
+    assert!(line.contains("expected two times"), "{line}");
+    let line = failure(&format!("cut {file} {part} --range 1:00:00.."));
+    assert!(line.contains("nothing in this part"), "{line}");
+    let output = output_of(shell(&format!("$urg cut - {part} < /dev/null")));
+    assert!(output.stderr.contains("nothing in the files"), "{}", output.stderr);
+    assert!(!fs::exists(part).unwrap());
+    let output = output_of(shell(&format!("$urg cut {file} - > /dev/full; echo $?")));
+    assert_eq!(output.stdout, "1\n");
+    let start = "urg: incomplete copy: No space";
+    assert!(output.stderr.starts_with(start), "{}", output.stderr);
 }

@@ -15,12 +15,13 @@ use crate::recording::span::{RangeArgs, TopicArgs};
 
 /// Copy a part of a recording, or join the files of a split recording
 ///
-/// Messages of all topics keep their bytes and times, and are in the order of their times. --range
-/// counts from the first scan on --topic. You lose only damaged parts, about one second each. The
-/// input files are not changed.
+/// Messages of all topics keep their bytes and times, and are in the order of their times. You lose
+/// only damaged parts, about one second each. The input files are not changed.
 #[derive(Debug, clap::Args)]
 #[command(
     override_usage = "urg cut [OPTIONS] <FILE>... <OUT>",
+    mut_arg("topic", |topic| topic.requires("range").help("Topic whose first scan --range counts \
+        from, such as /front/scan: all topics are copied [default: /scan]")),
     after_help = "\
 Examples:
   urg cut run.mcap part.mcap --range 1:30..2:00
@@ -69,7 +70,8 @@ impl Cut {
         let copied = rewrite(files, &out, interrupt, copy, is_kept).await?;
         let Copied { messages, scans, damaged_parts, was_truncated, .. } = copied;
         if messages == 0 && !is_dash(&out) {
-            return Err(Failure::Failed(format!("{name}: nothing in this part: see `urg info`")));
+            let part = range.range.map_or("the files", |_| "this part");
+            return Err(Failure::Failed(format!("{name}: nothing in {part}: see `urg info`")));
         }
         let mut text = format!("{name}: {}", counted(scans, "scan"));
         if damaged_parts > 0 {

@@ -56,8 +56,7 @@ pub(crate) struct Emulate {
     /// Serial number of the sensor
     #[arg(long, value_name = "NUMBER", default_value = "H0713090", value_parser = serial_number)]
     serial_number: String,
-    /// Duration of one revolution of the motor, and so of one scan; by default 100ms of a URG,
-    /// 25ms of a UTM or UST
+    /// Duration of one revolution of the motor, and so of a scan [default: URG 100ms, others 25ms]
     #[arg(long, value_name = "TIME", value_parser = duration)]
     revolution: Option<Duration>,
     /// Room around the sensor

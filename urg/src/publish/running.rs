@@ -33,8 +33,7 @@ const MAX_RESTARTS: u32 = 5;
 /// Time after which an engine that dies has worked.
 const WORKING_TIME: Duration = Duration::from_secs(60);
 
-/// Time that an engine has to open. Zenoh needs up to 10 s, and the system half a minute for
-/// each lookup of a name.
+/// Time for an engine to open: zenoh needs up to 10 s, the system half a minute to look up a name.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(180);
 
 /// Time that an engine has to send what waits, and to close.

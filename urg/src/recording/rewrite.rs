@@ -1,7 +1,7 @@
 //! Writes a new recording from others, for `urg cut` and `urg repair`. A file gets its name only
-//! when it is complete and on the disk, so that a crash or a power failure never leaves a partial
-//! file under that name.
+//! when it is complete and on the disk: a crash or power failure leaves no partial file.
 
+use std::collections::HashSet;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -71,6 +71,13 @@ fn write<T>(
     // A folder has several.
     let listed = |file: &PathBuf| recording_files(file).map_err(|error| failure(file, &error));
     let files = files.iter().map(listed).collect::<Result<Vec<_>, _>>()?.concat();
+    let mut known = HashSet::new();
+    if let Some(twice) = files
+        .iter()
+        .find(|file| !known.insert(file.canonicalize().unwrap_or_else(|_| file.to_path_buf())))
+    {
+        return Err(failure(twice, &io::Error::other("named twice: its scans would be doubled")));
+    }
     let inputs = files.iter().map(|file| open(file)).collect::<Result<_, _>>()?;
     let written = match &output {
         Some(file) => buffered(file, |output| copy(inputs, output))
@@ -82,7 +89,7 @@ fn write<T>(
         (RecordingError::Write { source }, _) if output.is_some() => {
             Failure::new(format_args!("{}: not written", to.display()), source)
         }
-        (RecordingError::Write { .. }, _) => failure(to, &error),
+        (RecordingError::Write { source }, _) => Failure::new("incomplete copy", source),
         (RecordingError::NoScans { .. }, [file, ..]) | (_, [file]) => failure(file, &error),
         (_, files) => match files.iter().find(|file| !is_readable(file)) {
             Some(file) => failure(file, &error),

@@ -29,8 +29,7 @@ pub(super) struct SensorClock {
     latest: Option<Reading>,
     /// How far off the latest scans are that do not fit, and how many of them agree.
     off: (f64, u32),
-    /// Scans since the latest jump that arrived earliest, as points `(position, ahead)`: the upper part
-    /// of their convex hull.
+    /// Scans since the latest jump that arrived earliest: upper hull of points `(position, ahead)`.
     earliest: Vec<(f64, f64)>,
     longest: Drift,
     jumps: u64,

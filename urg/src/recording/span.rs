@@ -13,7 +13,7 @@ use crate::args::clock_time;
 pub(crate) struct RangeArgs {
     /// Part of a recording, as times since its first scan: 1m30s..2m, 90.., or
     /// 1:30..2:00, the way `urg info` writes them
-    #[arg(long, value_name = "FROM..TO", value_parser = time_span)]
+    #[arg(long, value_name = "FROM..TO", value_parser = time_span, allow_hyphen_values = true)]
     pub(crate) range: Option<TimeSpan>,
 }
 

@@ -27,8 +27,7 @@ use crate::interrupt::Interrupt;
 /// Maximum number of open connections. Each takes at most 40 KiB. A further connection takes the
 /// place of the oldest one that has not sent its request, or waits for a place.
 const MAX_CONNECTIONS: usize = 512;
-/// Maximum number of open streams of scans. They last, so they leave connections to short requests
-/// such as `/health`.
+/// Maximum number of open streams of scans: they last, and short requests need connections, too.
 const MAX_STREAMS: usize = MAX_CONNECTIONS - 64;
 
 #[derive(Debug)]

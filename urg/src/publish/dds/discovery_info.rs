@@ -1,5 +1,4 @@
-//! Message `rmw_dds_common/msg/ParticipantEntitiesInfo`, which maps writers to ROS nodes. DDS
-//! itself has no nodes.
+//! Message `rmw_dds_common/msg/ParticipantEntitiesInfo`: maps writers to ROS nodes.
 
 use cyclonedds::Topicable;
 use serde::{Deserialize, Serialize};

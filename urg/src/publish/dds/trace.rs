@@ -30,8 +30,7 @@ const OUTAGE: Duration = Duration::from_secs(22);
 /// Maximum number of participants to remember. A domain has room for 120 per machine.
 const MAX_PARTICIPANTS: usize = 10_000;
 
-/// Reader of the trace, on a thread of its own. The thread ends when Cyclone has closed the trace,
-/// and this is dropped.
+/// Reader of the trace, on a thread that ends when Cyclone has closed it and this is dropped.
 pub(super) struct Trace {
     /// Why the participant is outdated.
     returned: Arc<Mutex<Option<String>>>,

@@ -170,8 +170,7 @@ fn config(settings: &EngineSettings) -> zenoh::Result<Config> {
             set("listen/endpoints", serde_json::json!([]))?;
             // One attempt: the caller retries.
             set("connect/timeout_ms", 0.into())?;
-            // Longer than zenoh waits for a silent router, so that zenoh drops no message
-            // without counting it.
+            // Longer than zenoh waits for a silent router, so that zenoh counts what it drops.
             set(WAIT_BEFORE_DROP, 60_000_000.into())?;
             // Otherwise the system buffers up to 4 MiB on a slow link, which delays scans.
             set("transport/link/tcp/so_sndbuf", 65_536.into())?;
