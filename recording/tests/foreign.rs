@@ -2,14 +2,14 @@
 //! with records that this crate does not use.
 
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, Cursor, Seek, SeekFrom, Write};
 use std::sync::{Arc, Mutex};
 
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, WriteOptions};
 use tokio_scip::Window;
-use urg_emulator::Model;
+use urg_emulator::{Emulator, Model, Values, WorldTime};
 use urg_recording::{Recording, repair};
 
 use super::sink::{self, Sink, record, sensor};
@@ -153,6 +153,95 @@ async fn scans_played_and_recorded_again_are_read_once() {
         };
         let again = Recording::read(Cursor::new(writer.into_inner().into_inner())).unwrap();
         assert_eq!(values(again), values(sink.open()), "{model:?}, swapped: {swaps}");
+    }
+}
+
+/// One message is played late or early, among the replies alone. Eight replies wait for their messages, and
+/// a message waits for its reply until seven polls follow.
+#[tokio::test(start_paused = true)]
+async fn a_played_message_finds_its_reply_nearby() {
+    let sink = Sink::new();
+    record(sensor(), &sink, sink::window(300, 320, 1), 40).await;
+    let recorded = sink.bytes();
+    let metadata = sink.open().metadata().clone();
+    let messages = || mcap::MessageStream::new(&recorded).unwrap().map(Result::unwrap);
+    let scans: Vec<_> = messages().filter(|message| message.channel.topic == "/scan").collect();
+    let replies: Vec<_> = messages()
+        .filter(|message| message.channel.topic == "/scip/replies")
+        .filter(|message| scans.iter().any(|scan| scan.publish_time == message.publish_time))
+        .collect();
+    assert_eq!((scans.len(), replies.len()), (40, 40));
+    for distance in -12_isize..=12 {
+        // The message comes after this number of replies. Its own one is reply 20.
+        let place = (20 + usize::from(distance >= 0)).wrapping_add_signed(distance);
+        let mut order = replies.clone();
+        order.insert(place, scans[20].clone());
+        let mut writer = WriteOptions::new().create(Cursor::new(Vec::new())).unwrap();
+        let (name, metadata) = ("tokio_scip".to_owned(), metadata.clone());
+        writer.write_metadata(&mcap::records::Metadata { name, metadata }).unwrap();
+        for (message, number) in order.into_iter().zip(0..) {
+            let log_time = 3_600_000_000_000 + scans[0].log_time + number * 1_000;
+            writer.write(&mcap::Message { log_time, publish_time: log_time, ..message }).unwrap();
+        }
+        writer.finish().unwrap();
+        let again = Recording::read(Cursor::new(writer.into_inner().into_inner())).unwrap();
+        let is_found = (-6..8).contains(&distance);
+        assert_eq!(again.scans().count(), if is_found { 40 } else { 41 }, "{distance}");
+    }
+}
+
+/// A reply that has its message is the reply of no other message.
+#[tokio::test(start_paused = true)]
+async fn an_equal_scan_played_later_is_another_one() {
+    let sink = Sink::new();
+    let world = |_: WorldTime, codes: &mut Values| codes.iter_mut().for_each(|code| *code = 99);
+    let still = Emulator::builder().world(world).build();
+    record(still, &sink, sink::window(300, 320, 1), 5).await;
+    let recorded = sink.bytes();
+    let mut messages: Vec<_> =
+        mcap::MessageStream::new(&recorded).unwrap().map(Result::unwrap).collect();
+    let mut played =
+        messages.iter().rfind(|message| message.channel.topic == "/scan").unwrap().clone();
+    played.log_time += 3_600_000_000_000;
+    played.publish_time = played.log_time;
+    messages.push(played);
+    let mut writer = WriteOptions::new().create(Cursor::new(Vec::new())).unwrap();
+    messages.iter().for_each(|message| writer.write(message).unwrap());
+    writer.finish().unwrap();
+    let again = Recording::read(Cursor::new(writer.into_inner().into_inner())).unwrap();
+    assert_eq!(again.scans().map(Result::unwrap).count(), 6);
+}
+
+/// A file may have any number of sources. The first 16 are named.
+#[tokio::test(start_paused = true)]
+async fn sixteen_sources_are_named() {
+    let sink = Sink::new();
+    record(sensor(), &sink, sink::window(300, 320, 1), 20).await;
+    let recorded = sink.bytes();
+    let metadata = sink.open().metadata().clone();
+    for count in [1, 15, 16, 17, 20] {
+        let mut writer = WriteOptions::new().create(Cursor::new(Vec::new())).unwrap();
+        let scans = mcap::MessageStream::new(&recorded).unwrap().map(Result::unwrap);
+        let scans = scans.filter(|message| message.channel.topic == "/scan");
+        for (message, number) in scans.zip(0..count) {
+            let mut metadata = metadata.clone();
+            metadata.insert("serial_number".into(), format!("{number:02}"));
+            let name = "tokio_scip".to_owned();
+            writer.write_metadata(&mcap::records::Metadata { name, metadata }).unwrap();
+            let mut data = message.data.to_vec();
+            let at = data.windows(6).position(|part| part == b"laser\0").unwrap();
+            data[at..at + 5].copy_from_slice(format!("las{number:02}").as_bytes());
+            writer.write(&mcap::Message { data: data.into(), ..message }).unwrap();
+        }
+        writer.finish().unwrap();
+        let file = writer.into_inner().into_inner();
+        let mut scans = Recording::read(Cursor::new(file)).unwrap().scans();
+        assert_eq!(scans.by_ref().map(Result::unwrap).count(), count);
+        let first =
+            |name: &str| (0..count.min(16)).map(|number| format!("{name}{number:02}")).collect();
+        let (frames, numbers): (BTreeSet<_>, BTreeSet<_>) = (first("las"), first(""));
+        assert_eq!(*scans.frame_ids(), frames, "{count}");
+        assert_eq!(*scans.serial_numbers(), numbers, "{count}");
     }
 }
 

@@ -462,6 +462,53 @@ async fn another_window_of_a_sensor_in_scip_2_is_replayed() {
     for (replayed, delivered) in replayed.iter().zip(&delivered) {
         assert!(replayed.raw_values().eq(delivered.raw_values().skip(1000)));
     }
+    let sink = Sink::new();
+    record(open(&file).replay(ReplayPace::Max).unwrap(), &sink, window, 5).await;
+    let clocks = |recording: Recording| {
+        let mut scans = recording.scans();
+        std::iter::from_fn(move || scans.next().map(|_| scans.sensor_clock())).collect::<Vec<_>>()
+    };
+    let recorded = clocks(open(&file));
+    assert!(recorded.iter().all(Option::is_some) && recorded[0] < recorded[1]);
+    assert_eq!(clocks(sink.open()), recorded);
+}
+
+/// In SCIP 2 a driver takes no empty text.
+#[tokio::test(start_paused = true)]
+async fn a_replay_has_the_version_that_the_metadata_tell() {
+    let keys = ["vendor", "product", "firmware", "protocol", "serial_number"];
+    let has = Has { replies: false, metadata: true };
+    for model in MODELS {
+        let (file, _) = recorded(model, has, (Window::DETECTION, Rate::hz(10.0)), 2).await;
+        for seed in seeds("URG_VERSIONS", 8) {
+            let mut random = Random::new(seed);
+            let mut metadata = open(&file).metadata().clone();
+            let lost: Vec<_> = keys.into_iter().filter(|_| random.once_in(2)).collect();
+            lost.iter().for_each(|key| drop(metadata.remove(*key)));
+            let expected = keys.map(|key| match metadata.get(key) {
+                Some(value) => value.clone(),
+                None if model == Model::Urg04lx => String::new(),
+                None => "unknown".to_owned(),
+            });
+            let mut writer = mcap::Writer::new(Cursor::new(Vec::new())).unwrap();
+            let name = "tokio_scip".to_owned();
+            writer.write_metadata(&mcap::records::Metadata { name, metadata }).unwrap();
+            let messages = mcap::MessageStream::new(&file).unwrap();
+            messages.for_each(|message| writer.write(&message.unwrap()).unwrap());
+            writer.finish().unwrap();
+            let replay = open(&writer.into_inner().into_inner()).replay(ReplayPace::Max).unwrap();
+            let sensor = Sensor::builder().connect(replay).await.unwrap();
+            let version = sensor.version().await.unwrap();
+            let texts = [
+                version.vendor.to_string(),
+                version.product.to_string(),
+                version.firmware.to_string(),
+                version.protocol.to_string(),
+                version.serial_number.to_string(),
+            ];
+            assert_eq!(texts, expected, "{model:?}, seed {seed}");
+        }
+    }
 }
 
 /// Each scan that is read has the geometry of its own sensor. A replay is of one sensor.
@@ -483,6 +530,8 @@ async fn two_sensors_lie_in_one_file() {
             let delivered = delivered.find(|it| it.times().stamp == scan.times().stamp).unwrap();
             assert_eq!(scan.geometry(), delivered.geometry());
             assert!(scan.raw_values().eq(delivered.raw_values()));
+            let error = scan.scan_time().abs_diff(delivered.scan_time());
+            assert!(error < Duration::from_nanos(10), "{one:?}, {other:?}: {error:?}");
         }
         let counts = |left_out: LeftOutCounter| {
             left_out.counts().iter().map(|count| (count.reason, count.messages)).collect::<Vec<_>>()

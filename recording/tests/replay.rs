@@ -9,6 +9,7 @@ use tokio_scip::{Error, ErrorKind, Rate, Scan, Sensor, State, Window};
 use urg_emulator::{Emulator, Fault, Faults};
 use urg_recording::{Entry, Record, Recorder, ReplayPace};
 
+use super::common::random::{Random, seeds};
 use super::sink::{Sink, observed, polls, record, sensor, window};
 
 /// Reads everything that a sensor delivers until its stream ends.
@@ -216,6 +217,92 @@ async fn a_replay_obeys_the_laser_and_loses_nothing() {
     let sensor = Sensor::builder().connect(emulator).await.unwrap();
     for expected in values(&recorded) {
         assert!(sensor.scan(window(384, 385, 1)).await.unwrap().raw_values().eq(expected));
+    }
+}
+
+/// Draws a window of at most 60 steps, half the time of one step.
+fn any_window(random: &mut Random) -> Window {
+    let start = 100 + random.below(500) as u16;
+    match random.below(4) {
+        0 | 1 => window(start, start, 1),
+        2 => window(start, start + random.below(3) as u16, 3),
+        _ => window(start, start + random.below(60) as u16, 1 + random.below(4) as u8),
+    }
+}
+
+/// A request for one step is a fence unless the recorded window is that step.
+#[tokio::test(start_paused = true)]
+async fn a_single_step_takes_a_scan_of_that_step() {
+    for seed in seeds("URG_SINGLE_STEPS", 40) {
+        let mut random = Random::new(seed);
+        let recorded_window = any_window(&mut random);
+        let case = format!("seed {seed}, {recorded_window}");
+        let sink = Sink::new();
+        let recorded = values(&record(sensor(), &sink, recorded_window, 5).await);
+        let emulator = sink.open().replay(ReplayPace::Max).unwrap();
+        let mut link = emulator.link();
+        let mut ask = async |command: String| {
+            link.write_all(command.as_bytes()).await.unwrap();
+            let mut reply = Vec::new();
+            while !reply.ends_with(b"\n\n") {
+                reply.push(link.read_u8().await.unwrap());
+            }
+        };
+        ask("L1\n".into()).await;
+        let mut taken = 0;
+        for _ in 0..3 {
+            let (start, end) = (recorded_window.start(), recorded_window.end());
+            let step = *random.pick(&[start, end, 99]);
+            taken += usize::from(start == end && step == end);
+            ask(format!("G{step:03}{step:03}01\n")).await;
+        }
+        drop(link);
+        let rest = drain(emulator, recorded_window, Rate::UNLIMITED).await;
+        assert_eq!(values(&rest), recorded[taken..], "{case}, {taken}");
+    }
+}
+
+/// Any other window, also one with as many points, has the recorded values of its own steps.
+#[tokio::test(start_paused = true)]
+async fn each_step_has_its_recorded_value_in_any_window() {
+    for seed in seeds("URG_OTHER_WINDOWS", 40) {
+        let mut random = Random::new(seed);
+        let from = any_window(&mut random);
+        let cluster = from.cluster_count();
+        let shift = random.below(90) as u16;
+        let asked = match random.below(3) {
+            0 => any_window(&mut random),
+            1 => window(from.start() - shift, from.end() - shift, cluster),
+            _ => window(from.start() + shift, from.end() + shift, cluster),
+        };
+        if asked.steps() == 1 && asked != from {
+            // To the emulated sensor it is a fence.
+            continue;
+        }
+        let sink = Sink::new();
+        record(sensor(), &sink, from, 3).await;
+        let recorded: Vec<Vec<u32>> =
+            sink.open().scans().map(|scan| scan.unwrap().raw_values().collect()).collect();
+        let replay = sink.open().replay(ReplayPace::Max).unwrap();
+        let replayed = values(&drain(replay, asked, Rate::UNLIMITED).await);
+        assert_eq!(replayed.len(), recorded.len(), "seed {seed}, {from}, {asked}");
+        // The recorded polls may have asked for three more points on each side.
+        let margin = 3 * u16::from(cluster);
+        let near = from.start().saturating_sub(margin)..=from.end() + margin;
+        for (found, recorded) in replayed.iter().zip(&recorded) {
+            for (value, start) in
+                found.iter().zip((asked.start()..).step_by(asked.cluster_count().into()))
+            {
+                let steps = start..=asked.end().min(start + u16::from(asked.cluster_count()) - 1);
+                let of = |step: u16| recorded[usize::from((step - from.start()) / cluster as u16)];
+                let case = format!("seed {seed}, {from}, {asked}, {steps:?}");
+                if steps.clone().all(|step| (from.start()..=from.end()).contains(&step)) {
+                    assert_eq!(Some(*value), steps.map(of).min(), "{case}");
+                } else if !steps.clone().any(|step| near.contains(&step)) {
+                    assert_eq!(*value, 19, "{case}");
+                }
+            }
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 //! Recorded scans as [`Scan`]s, without a replay.
 
 use std::io::{self, Cursor, Read};
+use std::ops::{Bound, RangeBounds};
 use std::path::Path;
 use std::time::Duration;
 
@@ -12,7 +13,9 @@ use urg_recording::{
     Entry, LeftOutReason, Record, RecordedScans, Recorder, Recording, RecordingError, ReplayPace,
 };
 
+use super::common::random::{Random, seeds};
 use super::file::Folder;
+use super::raw::{MAGIC, channel_content, of_kind, text};
 use super::sink::{Sink, next, observed, record, replayed, sensor, values, window};
 
 /// Stands for a function that is written for live scans.
@@ -424,5 +427,73 @@ async fn a_wrong_or_unchecked_index_is_ignored() {
         bytes[crc..crc + 4].fill(0);
         let path = folder.write(&bytes);
         assert_eq!(values(scans_from(&path, place)), expected, "{at}, without a checksum");
+    }
+}
+
+/// The bounds of a part are often those of a chunk, such as the time of its first message.
+#[tokio::test(start_paused = true)]
+async fn a_part_through_the_index_has_the_scans_of_its_time() {
+    let sink = Sink::new();
+    record(sensor(), &sink, window(300, 320, 1), 60).await;
+    let folder = Folder::new("bounds");
+    let path = folder.write(&sink.bytes());
+    let mut scans = sink.open().scans();
+    let mut truth = Vec::new();
+    while let Some(scan) = scans.next() {
+        truth.push((scans.position(), scan.unwrap().times().stamp));
+    }
+    for seed in seeds("URG_BOUNDS", 200) {
+        let mut random = Random::new(seed);
+        let mut bound = || {
+            let at = random.pick(&truth).0 + Duration::from_nanos(random.below(3));
+            let at = at.saturating_sub(Duration::from_nanos(1));
+            match random.below(5) {
+                0 => Bound::Unbounded,
+                1 | 2 => Bound::Excluded(at),
+                _ => Bound::Included(at),
+            }
+        };
+        let range = (bound(), bound());
+        let expected: Vec<_> =
+            truth.iter().filter(|(at, _)| range.contains(at)).map(|(_, stamp)| *stamp).collect();
+        let part = Recording::open(&path).unwrap().range(range).scans();
+        let found: Vec<_> = part.filter_map(Result::ok).map(|scan| scan.times().stamp).collect();
+        assert_eq!(found, expected, "seed {seed}, {range:?}");
+    }
+}
+
+/// A malformed reply to a poll of `length` bytes, as a message.
+fn malformed_poll(request: &str, length: usize) -> Vec<u8> {
+    let label = text(&format!("{request}\0"));
+    let padding = vec![0; label.len().next_multiple_of(4) - label.len()];
+    let bytes = [request.as_bytes(), &vec![b'\n'; length - request.len()]].concat();
+    let head = [&[0, 1, 0, 0, 1, 0, 0, 0][..], &label, &padding, &[0; 12]].concat();
+    let data = [&head[..], &(length as u32).to_le_bytes(), &bytes].concat();
+    of_kind(0x05, &[&[0; 22][..], &data].concat())
+}
+
+/// The driver widens some polls. Without metadata, the narrowest of the first polls is the stream's.
+#[test]
+fn a_stream_is_found_among_256_polls_or_a_mebibyte() {
+    let channel = of_kind(0x04, &channel_content(0, "/scip/replies"));
+    for (wide, length, is_found) in [
+        (1, 20, true),
+        (255, 20, true),
+        (256, 20, false),
+        (300, 20, false),
+        (7, 1 << 17, true),
+        (8, (1 << 17) - 1, true),
+        (8, 1 << 17, false),
+    ] {
+        let polls = malformed_poll("G09719901", length).repeat(wide);
+        let file = [MAGIC, &channel, &polls, &malformed_poll("G10019901", 20)].concat();
+        let mut scans = Recording::read(Cursor::new(file)).unwrap().scans();
+        assert_eq!(scans.by_ref().filter(Result::is_ok).count(), 0);
+        assert_eq!(scans.failed_polls(), 0);
+        let left_out = scans.recording().left_out().counts();
+        let found: Vec<_> = left_out.iter().map(|left| (left.reason, left.messages)).collect();
+        let failed = (LeftOutReason::FailedPoll, (wide + usize::from(is_found)) as u64);
+        let other = (!is_found).then_some((LeftOutReason::OtherRequest, 1));
+        assert_eq!(found, [failed].into_iter().chain(other).collect::<Vec<_>>(), "{wide} {length}");
     }
 }
