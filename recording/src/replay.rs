@@ -85,7 +85,6 @@ impl Replies {
 
     /// Reads the next reply to the stream's polls. Remembers the values of replies to other polls.
     fn read(&mut self) {
-        self.next = None;
         while let Some(item) = self.polls.next() {
             let poll = match item {
                 Ok(poll) => poll,
