@@ -169,6 +169,42 @@ async fn replies_alone_have_each_scan_once() {
     }
 }
 
+/// Beside a stream of another window, the sensor sends both in one, and the driver makes the clusters.
+#[tokio::test(start_paused = true)]
+async fn clusters_of_a_shared_stream_are_read_as_delivered() {
+    for seed in seeds("SHARED", 24) {
+        let mut random = Random::new(seed);
+        let model = *random.pick(&[Model::Urg04lxUg01, Model::Utm30lx, Model::Ust10lx]);
+        let has_intensities = random.once_in(2);
+        let sink = Sink::new();
+        let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+        let builder = Sensor::builder().depth(1 << 10).intensities(has_intensities);
+        let sensor = builder.connect(sensor_model(model)).await.unwrap();
+        let other = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+        recorder.observe(&sensor);
+        let start = 100 + random.below(300) as u16;
+        let window = window_of(start, start + random.below(100) as u16, 2 + random.below(9) as u8);
+        let mut scans = sensor.scans(window, Rate::UNLIMITED).await.unwrap();
+        recorder.describe(&sensor, &scans).await.unwrap();
+        // Without its messages, so that each scan is read from its reply.
+        let mut delivered = Vec::new();
+        while delivered.len() < 20 {
+            delivered.push(scans.next().await.unwrap().unwrap());
+        }
+        recorder.finish().await.unwrap();
+        drop(other);
+        let found = read(&sink.bytes());
+        let case = format!("seed {seed}, {model:?}, {window:?}, {has_intensities}");
+        let told = |scan: &Scan| {
+            let intensities = scan.intensities().map(<[u32]>::to_vec);
+            (scan.window(), scan.raw_values().collect::<Vec<_>>(), intensities)
+        };
+        let first = found.iter().position(|scan| told(scan) == told(&delivered[0]));
+        let found = found.iter().skip(first.expect(&case)).take(20).map(told);
+        assert!(found.eq(delivered.iter().map(told)), "{case}");
+    }
+}
+
 /// Another program may have rounded the log times, or written the same one for all messages, and then sorted
 /// the topics: rosbags 0.11.9 writes `/scan` before the replies.
 #[tokio::test(start_paused = true)]
