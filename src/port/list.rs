@@ -38,8 +38,7 @@ pub struct PortInfo {
 
 /// Lists this machine's serial ports: likely sensors, then other USB ports, then the rest, by path.
 ///
-/// Leaves out pseudo-terminals and names without hardware (`/dev/ttyS1`). Runs on a
-/// thread of its own. Cancel-safe.
+/// Leaves out pseudo-terminals and names without hardware (`/dev/ttyS1`). Cancel-safe, on a thread.
 ///
 /// # Errors
 ///

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::{Instant, sleep};
 use tokio_scip::scan::StampQuality;
 use tokio_scip::{ErrorKind, Rate, Scan, Window};
@@ -238,5 +239,29 @@ async fn only_jumps_of_the_clock_are_counted() {
                 jumps += 1;
             }
         }
+    }
+}
+
+/// A sensor may take all of a revolution to send a scan: faster than RS-232, its line is not full.
+#[tokio::test(start_paused = true)]
+async fn a_sensor_that_sends_all_the_time_keeps_its_clock() {
+    let emulator = numbered(Model::Ust10lx).build();
+    let (near, far) = tokio::io::duplex(1 << 16);
+    let (mut from_sensor, mut to_sensor) = tokio::io::split(emulator.link());
+    let (mut from_driver, mut to_driver) = tokio::io::split(far);
+    tokio::spawn(async move { tokio::io::copy(&mut from_driver, &mut to_sensor).await });
+    tokio::spawn(async move {
+        // 24 pieces of a scan.
+        let mut piece = [0; 145];
+        while let Ok(length @ 1..) = from_sensor.read(&mut piece).await {
+            sleep(ms(1)).await;
+            to_driver.write_all(&piece[..length]).await.unwrap();
+        }
+    });
+    let sensor = builder().depth(64).attach(near).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+    for number in 0..80 {
+        let times = next(&mut stream).await.times();
+        assert!(number < 30 || times.quality == StampQuality::SensorClock, "{number}: {times:?}");
     }
 }

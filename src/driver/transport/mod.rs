@@ -301,8 +301,7 @@ impl Transport {
         Poll::Ready(Ok(()))
     }
 
-    /// Reads until a frame is at the front of the input, or the deadline has passed. Pauses when
-    /// that is worthwhile.
+    /// Reads until a frame is at the front of the input, or the deadline. Pauses when worthwhile.
     fn poll_frame(&mut self, cx: &mut Context<'_>) -> Poll<Result<Frame<usize>, NoFrame>> {
         loop {
             if let Some(until) = self.paused_until {
