@@ -78,13 +78,11 @@ def seen(arguments):
         subscription = observer.create_subscription(LaserScan, topic, got.append, 10)
         spin = lambda: rclpy.spin_once(observer, timeout_sec=0.05)
         wait("a scan", lambda: got, 20, spin)
-        # A publisher that has ended stays for its lease, without a name.
         node = lambda: [
             f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             for info in observer.get_publishers_info_by_topic(topic)
-            if "UNKNOWN" not in info.node_name
         ]
-        wait("the node", node, 20, spin)
+        wait("the node", lambda: node() and "UNKNOWN" not in node()[0], 20, spin)
         found = topic, node()[0], got[0].header.frame_id
         observer.destroy_subscription(subscription)
     return found

@@ -107,11 +107,12 @@ impl Network {
         let trace = trace
             .map(|path| format!("<Category>discovery</Category><OutputFile>{path}</OutputFile>"));
         let trace = trace.unwrap_or_default();
-        // LeaseDuration: as in `trace`. SPDPInterval: a reader that forgot this participant finds it
-        // within one interval. WriterLingerDuration: do not wait at exit to resend scans, which are
-        // stale by then. WhcHigh: never block on a reader that acknowledges nothing. The history depth
-        // limits the memory. FragmentSize: send each message of up to 60 kB whole. When Cyclone resends
-        // fragments, a late reader on Fast DDS 2.14 (Jazzy) may take an empty message and then hang.
+        // LeaseDuration: as in `trace`. SPDPInterval: a reader that forgot this participant finds it within
+        // one interval. WriterLingerDuration: do not wait at exit to resend scans, which are stale by then.
+        // GenerateKeyhash: else Fast DDS lists ended writers until their lease expires
+        // (`findings/fastdds_ended_writers.sh`). WhcHigh: never block on a reader that acknowledges
+        // nothing. The history depth limits the memory. FragmentSize: send up to 60 kB whole. When Cyclone
+        // resends fragments, a late reader on Fast DDS 2.14 (Jazzy) may take an empty message and hang.
         // IgnoreTypeInformation: match readers by the name of their type. Readers on Fast DDS 3
         // (Kilted) ask each other for type objects. Cyclone receives the answers too, finds them
         // invalid, and from then on refuses every reader of that type without a message to it.
@@ -124,11 +125,10 @@ impl Network {
              <MaxAutoParticipantIndex>{MAX_INDEX}</MaxAutoParticipantIndex>\
              <LeaseDuration>24s</LeaseDuration><SPDPInterval>2s</SPDPInterval>{tag}\
              <Peers AddLocalhost=\"false\"><Peer address=\"{pulse}\" PruneDelay=\"inf\"/></Peers></Discovery>\
-             <Internal><WriterLingerDuration>0s</WriterLingerDuration>\
+             <Internal><WriterLingerDuration>0s</WriterLingerDuration><GenerateKeyhash>true</GenerateKeyhash>\
              <Watermarks><WhcHigh>64MB</WhcHigh></Watermarks></Internal>\
-             <Compatibility><IgnoreTypeInformation>{vendors}</IgnoreTypeInformation>\
-             </Compatibility><Tracing>{trace}</Tracing>\
-             </Domain>"
+             <Compatibility><IgnoreTypeInformation>{vendors}</IgnoreTypeInformation></Compatibility>\
+             <Tracing>{trace}</Tracing></Domain>"
         )
     }
 }
