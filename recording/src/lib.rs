@@ -24,14 +24,18 @@
 //!     recorder.record(&item)?;
 //! }
 //! recorder.finish().await?;
+//!
 //! // And again, from the file.
 //! let recording = Recording::open(&path)?;
 //! let (Some(window), Some(rate)) = (recording.window(), recording.rate()) else { return Ok(()) };
 //! let sensor = Sensor::builder().connect(recording.replay(ReplayPace::Recorded)?).await?;
 //! let mut replayed = sensor.scans(window, rate).await?;
+//! let mut count = 0;
 //! while let Some(scan) = replayed.next().await {
-//!     println!("{:?}", scan?.nearest());
+//!     scan?;
+//!     count += 1;
 //! }
+//! assert_eq!(count, 10);
 //! # std::fs::remove_file(&path)?;
 //! # Ok(())
 //! # }

@@ -39,8 +39,12 @@ const MAX_OTHER_TOPICS: usize = 16;
 /// chunks, or of its end, up to 64 MiB of it are in memory.
 ///
 /// ```no_run
-/// for record in urg_recording::Recording::open("run.mcap")? {
-///     println!("{:?}", record?.entry);
+/// use urg_recording::{Entry, Recording};
+///
+/// for record in Recording::open("run.mcap")? {
+///     if let Entry::Scan(scan) = record?.entry {
+///         println!("{:?} {:?}", scan.stamp, scan.ranges);
+///     }
 /// }
 /// # Ok::<(), urg_recording::RecordingError>(())
 /// ```

@@ -430,7 +430,7 @@ async fn a_wrong_or_unchecked_index_is_ignored() {
     }
 }
 
-/// The bounds of a part are often those of a chunk, such as the time of its first message.
+/// A part may begin or end exactly where a chunk does, for example at its first message.
 #[tokio::test(start_paused = true)]
 async fn a_part_through_the_index_has_the_scans_of_its_time() {
     let sink = Sink::new();

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-/// Delays that double, with jitter: drivers on one USB hub lose their links together.
+/// Delays that double, with jitter, so that drivers on one USB hub do not all retry at once.
 pub(crate) struct Backoff {
     shortest: Duration,
     longest: Duration,

@@ -19,7 +19,7 @@ pub(crate) struct RayOrder {
     latest: Option<(Instant, Instant)>,
     /// Sensor's clock of the latest scan, if it tells.
     clock: Option<u32>,
-    /// By how many nanoseconds scans come faster than a motor turns: a late one makes it a revolution.
+    /// Nanoseconds by which scans outrun the motor. After a late reply it is a revolution at most.
     ahead: u64,
 }
 

@@ -141,7 +141,7 @@ impl Session {
         Err(LinkError::Silent(not_confirmed).into())
     }
 
-    /// Checks whether the sensor answers one of `tries` commands, or one while the driver is closing.
+    /// Checks whether the sensor answers one of `tries` commands. Sends only one while closing.
     async fn answers(&mut self, tries: usize) -> Result<bool, ExchangeError> {
         for _ in 0..tries {
             match self.probe_once(SEARCH_LATENCY).await {

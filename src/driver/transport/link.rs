@@ -40,7 +40,7 @@ impl Transport {
         self.baud_rate().filter(|_| !self.is_baud_rate_disproved)
     }
 
-    /// Baud rate that the replies have reached, if they were slow.
+    /// Baud rate that the fastest reply reached. `None` if it was faster than any, or none came.
     pub(crate) fn measured_baud_rate(&self) -> Option<BaudRate> {
         let is_reached = |baud_rate: &BaudRate| u64::from(u32::from(*baud_rate)) <= self.speed;
         let reached = BaudRate::ALL.into_iter().rev().find(is_reached);

@@ -43,7 +43,7 @@ pub(crate) struct Cut {
     copy: CopyArgs,
 }
 
-/// Fails if a file has no scan from which to count times.
+/// Times count from the first scan on the topic: fails if the file has none.
 fn find_scan(file: &PathBuf, topic: &str) -> Result<(), RecordingError> {
     match Recording::open(file)?.topic(topic).scans().next() {
         Some(Err(error @ RecordingError::NoScans { .. })) => Err(error),

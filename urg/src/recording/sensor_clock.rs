@@ -58,7 +58,7 @@ struct Drift {
 }
 
 impl SensorClock {
-    /// Adds a scan at this position on a steady clock. `period` is set if all scans are sent.
+    /// Adds a scan at this position on a steady clock. `period` is that of the scans, if all came.
     pub(super) fn add(&mut self, clock: Duration, position: Duration, period: Option<Duration>) {
         let (clock, position) = (clock.as_secs_f64(), position.as_secs_f64());
         if let (Some(previous), Some(period)) = (self.previous.replace(clock), period) {

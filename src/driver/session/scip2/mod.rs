@@ -65,7 +65,7 @@ pub(super) struct State {
     latest: Option<(Stamp, Instant, Option<u8>)>,
     /// True if that one came twice.
     was_copied: bool,
-    /// How long a scan of a stream takes to arrive.
+    /// Typical time that a scan of a stream takes to arrive.
     took: Duration,
 }
 

@@ -103,7 +103,7 @@ impl Scip2<'_> {
         Ok(())
     }
 
-    /// The scans until the next stream do not count as lost: nobody wants them.
+    /// Stops counting lost scans until the next stream: nobody wants those in between.
     pub(crate) fn allow_gap(&mut self) {
         self.state.latest = self.state.latest.map(|(stamp, received, _)| (stamp, received, None));
     }
@@ -274,7 +274,7 @@ impl State {
         match Reply::parse(&request, frame) {
             Ok(Reply { content: Content::Scan(scan), .. }) => {
                 self.add_scan(running, scan, times, shared);
-                // It follows slowly: one packet may come late. No line faster than RS-232 is full.
+                // In small steps: one packet may come late. No line faster than RS-232 is ever full.
                 let took = times.received.duration_since(times.began);
                 let [known, least] =
                     [baud_rate, Some(BaudRate::B750000)].map(|rate| wire_time(&request, rate));
@@ -303,7 +303,7 @@ impl State {
         self.clock.stats().map_or(self.geometry.revolution(), |motor| motor.revolution)
     }
 
-    /// Time from scan to scan of a stream that leaves so many out.
+    /// Time between the scans of a stream in which the sensor leaves out `skipped` after each.
     fn period(&self, skipped: u8) -> Duration {
         self.revolution() * (u32::from(skipped) + 1)
     }
@@ -337,7 +337,7 @@ impl State {
         if let Some(told) = acquired.told.as_deref_mut().filter(|_| !times.is_replayed) {
             let (stamp, turns) = (stamp.since_zero(), u32::from(running.skipped) + 1);
             let revolution = self.clock.observe(stamp, WRAP, times.began, running.begun, turns);
-            // The motor may turn faster than the sensor tells, and the line be slower than is known.
+            // The motor may turn faster than the sensor tells, and the line may be slower than known.
             if is_carried(self.took, self.period(running.skipped)) {
                 (told.revolution, told.motor) = (revolution, self.clock.stats());
             }
