@@ -92,8 +92,8 @@ pub(crate) enum Motion {
     Drive,
 }
 
-/// The two fields, ahead of the sensor. In a real room half of the rays have no distance: they count
-/// only if an obstacle could hide behind them.
+/// The two fields, ahead of the sensor. In a real room up to two thirds of the rays have no distance:
+/// they count only if an obstacle could hide behind them.
 pub(crate) struct Fields {
     protective: Zone,
     warning: Zone,
