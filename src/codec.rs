@@ -102,8 +102,7 @@ impl ExpectedReply {
         Some(Self { head, length: window.reply_len() })
     }
 
-    /// Checks whether `buffer` begins with the expected reply, by its head and its end.
-    /// Returns the length of the frame.
+    /// Length of the frame if `buffer` begins with the expected reply, by its head and its end.
     fn find(&self, buffer: &[u8]) -> Option<usize> {
         let frame = buffer.get(..self.length)?.strip_suffix(b"\n\n")?;
         (frame.first_chunk() == Some(&self.head)).then_some(frame.len())

@@ -80,10 +80,9 @@
 //!
 //! # Versions
 //!
-//! The crate follows semantic versioning. Before 1.0 a breaking change raises the second number,
-//! any other change the third. This covers the public API with its documented behaviour, the
-//! options and output formats of `urg`, and the serialised forms. Texts of errors and log lines may
-//! change at any time.
+//! The crate follows semantic versioning. Before 1.0 a breaking change raises the second number, any
+//! other change the third. This covers the public API with its documented behaviour, the options and
+//! output formats of `urg`, and the serialised forms. Texts of errors and log lines may change.
 //!
 //! Types that may grow are `#[non_exhaustive]`: all errors, [`State`], [`Endpoint`], the
 //! counters, [`Operation`], [`Version`], [`RawReply`] and [`scan::Ray`]. So are the variants that only the crate

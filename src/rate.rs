@@ -38,8 +38,7 @@ impl Rate {
     /// No limit: as fast as the sensor answers. From a sensor of SCIP 2 each scan once. As text: `max`.
     pub const UNLIMITED: Self = Self(None);
 
-    /// Creates a rate of `hz` scans per second: more than 0, at most 1,000. Raises less
-    /// than one scan a day to one a day.
+    /// Creates a rate of `hz` scans per second: more than 0, at most 1,000. One a day is the least.
     ///
     /// # Panics
     ///
@@ -69,8 +68,7 @@ impl Rate {
         self.0
     }
 
-    /// Checks whether `hz` scans per second reach at least 95 % of this rate. Any number reaches
-    /// [`Rate::UNLIMITED`].
+    /// Checks whether `hz` scans per second reach 95 % of this rate. Any reach [`Rate::UNLIMITED`].
     pub fn is_reached_by(self, hz: f64) -> bool {
         self.0.is_none_or(|period| hz * period.as_secs_f64() >= REACHED)
     }

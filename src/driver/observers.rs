@@ -105,9 +105,8 @@ impl fmt::Debug for ReplyObservers {
     }
 }
 
-/// Observer that a handle has added to a running driver, by
-/// [`Sensor::observe_replies`](crate::Sensor::observe_replies). Drop it to end the observation.
-/// Keeps no driver running.
+/// Observer added by [`Sensor::observe_replies`](crate::Sensor::observe_replies). Drop it to end the
+/// observation. Keeps no driver running.
 #[must_use = "dropping an observation ends it"]
 pub struct ReplyObservation {
     observers: Weak<ReplyObservers>,

@@ -30,8 +30,7 @@ pub(crate) struct Opener {
     config: Config,
     shared: Arc<Shared>,
     pub(crate) laser: Laser,
-    /// Baud rate to restore whenever the sensor may have lost it: the builder's, or the latest
-    /// that the sensor has confirmed.
+    /// Baud rate to restore whenever the sensor may have lost it: the builder's, or the last confirmed.
     pub(crate) baud_rate: Option<BaudRate>,
     /// True if the log has told that the baud rate is not restored.
     is_reported: bool,
@@ -145,8 +144,7 @@ impl Opener {
         session: &mut Session,
         laser: Option<bool>,
     ) -> Result<(), LinkError> {
-        // Then the port is reopened. Without baud rates to search, half the time: it was probed for
-        // twice as long before.
+        // Then the port is reopened. Without baud rates to search, half the time is enough.
         let share = if session.is_searchable() { 1 } else { 2 };
         self.find(session, laser, RECOVERY_TIMEOUT / share).await
     }

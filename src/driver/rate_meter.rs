@@ -51,8 +51,7 @@ impl RateMeter {
         self.failures += 1;
     }
 
-    /// If the span is over, records it in `stats`, begins the next one and returns true. `baud_rate` is
-    /// the line's, if it has one.
+    /// If the span is over, records it in `stats`, begins the next one and returns true.
     pub(crate) fn finish_span(
         &mut self,
         now: Instant,
@@ -93,8 +92,7 @@ impl RateMeter {
         }
     }
 
-    /// Returns true if the latest span falls short for a reason that did not occur within the last
-    /// [`SPANS_BETWEEN_REPORTS`].
+    /// True if the latest span falls short for a reason not seen in the last [`SPANS_BETWEEN_REPORTS`].
     pub(crate) fn is_news(&mut self, shortfall: Option<Shortfall>) -> bool {
         let mut is_news = false;
         for (kind, since) in KINDS.into_iter().zip(&mut self.spans_since) {

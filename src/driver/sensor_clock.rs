@@ -28,8 +28,8 @@ use super::fit::{EARLY_WEIGHT, Line, Misfits};
 use super::motor_clock::{Revolution, duration};
 use crate::stats::MotorStats;
 
-/// Number of scans that each fit remembers, and the longest time in seconds that it remembers the motor:
-/// its speed drifts.
+/// Number of scans that each fit remembers, and the longest time in seconds that it remembers the
+/// motor: its speed drifts.
 const MEMORY: f64 = 1000.0;
 const MOTOR_MEMORY: f64 = 100.0;
 const LONGEST_MOTOR_MEMORY: f64 = 20.0;
@@ -205,8 +205,7 @@ impl Lines {
         self.count >= FIRST
     }
 
-    /// Judges an arrival that is late by more than the gate: the host is busy unless several agree, or
-    /// none fits any more.
+    /// Judges an arrival later than the gate: the host is busy unless several agree, or none fits.
     fn is_jump(&mut self, late: f64, gate: f64) -> bool {
         self.misfits.count(late, gate);
         self.has_moved && self.misfits.votes >= JUMP || self.misfits_in_row >= LOST

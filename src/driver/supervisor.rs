@@ -279,8 +279,7 @@ impl Drop for OfflineQueue {
 /// Runs `work`, and turns its panic into an output, so that each caller gets it as the cause.
 /// Never polls `work` again after a panic; whatever it borrows must tolerate that.
 ///
-/// `std::thread::panicking` does not work: it is also true while another panic drops the runtime
-/// and the driver with it.
+/// `std::thread::panicking` is also true while another panic drops the runtime with the driver.
 fn catch_panic<T>(
     mut work: Pin<&mut impl Future<Output = T>>,
 ) -> impl Future<Output = Result<T, Box<dyn Any + Send>>> {

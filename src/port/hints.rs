@@ -82,9 +82,8 @@ pub trait PortHints {
     /// must first read the bytes that the system has by then, and resume the wake-ups. Returns
     /// whether the port has done so, which is the default's `false`.
     ///
-    /// The driver calls it after a `poll_read` that returned `Pending`, while the rest of a reply
-    /// is still some milliseconds away. A serial line delivers a scan in 20 to 100 pieces, each of
-    /// which would wake the driver.
+    /// The driver calls it after a `poll_read` that returned `Pending`, while the rest of a reply is
+    /// some milliseconds away. A serial line delivers a scan in 20 to 100 pieces, each a wake-up.
     #[doc(hidden)]
     fn suspend_wakeups(&mut self) -> bool {
         false

@@ -106,8 +106,7 @@ fn respect_locks() {
     }
 }
 
-/// Sets the baud rate and reads it back. After an error it restores the former baud rate, if the
-/// port can still be set at all.
+/// Sets the baud rate and reads it back. After an error it restores the former one, if it can.
 fn set_baud_rate(tty: &mut Tty, from: BaudRate, to: BaudRate) -> io::Result<()> {
     let mut apply = |baud_rate: BaudRate| {
         tty.set_baud_rate(baud_rate.bits_per_second())?;
@@ -136,8 +135,8 @@ fn settle(tty: &mut Tty, baud_rate: BaudRate) -> io::Result<()> {
 
 /// Returns true if `actual` bits per second are within 2 % of `baud_rate`.
 ///
-/// Adapters report the result of their divider (a CP2104 has 115,384 for 115,200). A receiver samples
-/// a byte correctly if both sides together are off by less than half a bit in ten, 5 %; 2 % leaves a
+/// Adapters report the result of their divider (a CP2104 has 115,384 for 115,200). A receiver samples a
+/// byte correctly if both sides together are off by less than half a bit in ten, 5 %; 2 % leaves a
 /// share for the sensor. An adapter that takes the nearest baud rate instead is at least 2.4 % off:
 /// 256,000 for 250,000.
 fn is_close(baud_rate: BaudRate, actual: u32) -> bool {

@@ -44,8 +44,7 @@ impl BaudRate {
         }
     }
 
-    /// Time that `bytes` bytes take on the line: 10 bits each (8 data bits, no parity,
-    /// one start and one stop bit, p. 2).
+    /// Time that `bytes` bytes take on the line: 10 bits each, with a start and a stop bit (p. 2).
     pub(crate) const fn wire_time(self, bytes: usize) -> std::time::Duration {
         let bits = (bytes as u64).saturating_mul(10);
         let baud_rate = self.bits_per_second() as u64;

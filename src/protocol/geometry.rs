@@ -49,8 +49,7 @@ impl Geometry {
         let (least, most) = usual.distances().into_inner();
         let steps = told.steps.clone().filter(|steps| steps.end() <= usual.answered_steps().end());
         let (first_step, last_step) = steps.unwrap_or(usual.steps()).into_inner();
-        // Less than 20 mm is an error code. The text has 4,094 mm where firmware lines have 4,095, which
-        // no sensor has sent.
+        // Less than 20 mm is an error code. Firmware lines have 4,095 mm, which no sensor has sent.
         let range =
             told.range.clone().map(|range| (u32::from(*range.start()), u32::from(*range.end())));
         let range = range.filter(|(from, to)| *from <= most && *to >= least);

@@ -21,8 +21,7 @@ pub struct Version {
     pub firmware: Text,
     /// `PROT:`. Sensors that speak SCIP 1.1 have `SCIP 1.0` here.
     pub protocol: Text,
-    /// `SERI:`, such as `H0713090`. No other field differs between two sensors of the same
-    /// model and firmware.
+    /// `SERI:`, such as `H0713090`. No other field differs between sensors of one model and firmware.
     pub serial_number: Text,
     /// `STAT:`, which firmware 3 and later adds to the five lines of the protocol text.
     pub status: Option<Text>,

@@ -18,9 +18,8 @@ const POLL_LEN: usize = 10;
 /// Data bytes in a full line of a `G` reply (p. 3 and 6).
 pub(super) const BLOCK: usize = 64;
 
-/// Directions that a scan covers: all that the sensor measures ([`Window::DETECTION`]), an interval
-/// of [degrees](Window::degrees), or [steps](Window::new) by their number. A cluster count can
-/// group neighbours.
+/// Directions that a scan covers: all that the sensor measures ([`Window::DETECTION`]), an interval of
+/// [degrees](Window::degrees), or [steps](Window::new) by their number. A cluster count groups them.
 ///
 /// A step is a direction of measurement. Steps count counter-clockwise, seen from above:
 /// [`Geometry::degrees`] is their direction. For a URG-04LX, 0 is -135 degrees (right rear), 384 the
@@ -97,9 +96,8 @@ impl TryFrom<UncheckedWindow> for Window {
 }
 
 impl Window {
-    /// Every step that the sensor sends. For a URG-04LX in SCIP 1.1: steps 0..=768, and it measures
-    /// nothing outside of [`Window::DETECTION`]: the steps there always carry error code 19. Others
-    /// send only what they measure.
+    /// Every step that the sensor sends. For a URG-04LX in SCIP 1.1: steps 0..=768, and those outside
+    /// of [`Window::DETECTION`] carry error code 19. Others send only what they measure.
     ///
     /// In SCIP 1.1 this window and some clustered ones leave no spare step. Their polls cannot differ:
     /// one safeguard less against a reply that a faulty line delivers twice.

@@ -145,8 +145,7 @@ impl Inner {
         }
     }
 
-    /// Puts a reader into this slot and returns the one that was there. Drops the scans that are now
-    /// deeper than any reader.
+    /// Puts a reader into this slot, and returns the one before. Drops scans deeper than any.
     fn replace(&mut self, slot: usize, reader: Reader) -> Option<Reader> {
         let before = self.readers.get_mut(slot).map(|slot| mem::replace(slot, reader));
         self.depth = self.readers.iter().map(|reader| reader.depth).fold(1, usize::max);

@@ -16,8 +16,7 @@ use crate::protocol::{Geometry, Measurement, Window};
 ///
 /// `==` compares geometries, windows, values, numbers and stamps, but no [`Instant`].
 ///
-/// The driver makes scans. To test a function that takes a `&Scan`, make one from any values
-/// with [`Scan::builder`].
+/// The driver makes scans. To test a function that takes a `&Scan`, make one by [`Scan::builder`].
 ///
 /// # As data
 ///

@@ -27,8 +27,7 @@ pub enum StampQuality {
 #[non_exhaustive]
 pub struct ScanTimes {
     /// When the `G` was sent, on tokio's clock, which a test may pause. For a scan that a sensor of
-    /// SCIP 2 sends on its own, when the driver began to wait for it. Never decreases from one scan to
-    /// the next of a stream.
+    /// SCIP 2 sends on its own, when the driver began to wait for it. Never decreases within a stream.
     pub requested_at: Instant,
     /// The same moment as [`Scan::first_ray_stamp`], on tokio's clock. Use it to compare the scan
     /// with other events in your service, whatever happens to the wall clock. A replay has its own.
@@ -62,8 +61,8 @@ impl Scan {
     ///
     /// A scan never begins before the last point of the previous scan on the same link: after a late
     /// scan, the next stamp is late, too. There are two exceptions. Scans overlap if they come faster
-    /// than the motor turns. In a recording they may overlap, because each stamp is computed from
-    /// that scan's arrival alone.
+    /// than the motor turns. In a recording they may overlap, because each stamp is computed from that
+    /// scan's arrival alone.
     ///
     /// # Accuracy
     ///

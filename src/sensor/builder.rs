@@ -104,8 +104,7 @@ impl SensorBuilder {
         self
     }
 
-    /// Sets how long a request waits for a link before it fails with the reason why there is none.
-    /// Default: 5 s. At most a day.
+    /// Sets how long a request waits for a link before it fails. Default: 5 s. At most a day.
     ///
     /// The time starts when the link is lost, or when you make the request if that is later. While
     /// there is a link, a request waits for its turn without a time limit.
@@ -275,15 +274,13 @@ impl SensorBuilder {
         opened(self.build(connect), waits).await
     }
 
-    /// Builds a handle and its driver. Spawn the driver yourself: it opens the port when it first
-    /// runs, and requests wait for it.
+    /// Builds a handle and its driver. Spawn the driver: it opens the port when it first runs.
     pub fn build(self, connect: impl Connect) -> (Sensor, Driver) {
         let (client, driver) = driver::new(Box::new(connect), self.config);
         (Sensor { client }, driver)
     }
 
-    /// Does the same for an endpoint. Not generic, so that its connector is compiled with this
-    /// crate and not in your program.
+    /// Does the same for an endpoint. Not generic, so that its connector is compiled with this crate.
     fn build_for(self, endpoint: Endpoint) -> (Sensor, Driver) {
         self.build(endpoint.into_connector())
     }

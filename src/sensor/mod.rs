@@ -134,9 +134,8 @@ impl Sensor {
     /// setting whenever it finds the sensor. If the laser does not follow, streams continue, and the
     /// driver tries again after 1 s to 30 s.
     ///
-    /// A sensor that resets itself switches its laser on. On USB the driver notices that only at
-    /// your next command, or when the sensor sends unsolicited bytes, unless you set an [idle
-    /// probe](SensorBuilder::idle_probe).
+    /// A sensor that resets itself switches its laser on. On USB the driver notices that only at your
+    /// next command, unless you set an [idle probe](SensorBuilder::idle_probe).
     ///
     /// # Errors
     ///

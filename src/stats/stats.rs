@@ -34,8 +34,7 @@ pub struct Stats {
     pub reconnects: u64,
     /// Bytes received that were not part of a reply to the driver's commands.
     pub bytes_skipped: u64,
-    /// Scans that a sensor of SCIP 2 should have sent in a stream, and that did not arrive whole. The
-    /// gaps in its clock tell.
+    /// Scans of a stream in SCIP 2 that did not arrive whole. The gaps in the sensor's clock tell.
     pub lost: u64,
     /// Scans that streams missed because their consumers were slow.
     pub missed: u64,

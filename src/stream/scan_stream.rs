@@ -26,8 +26,7 @@ use crate::{Error, Freshness, Rate, Scan, Window};
 /// the next scan instead, use [`resubscribe`](Self::resubscribe). Dropping the last copy stops the
 /// polling. A stream keeps its driver alive, even if you drop every [`Sensor`](crate::Sensor).
 ///
-/// Like tokio's own types, it takes part in cooperative scheduling: a task that always finds a scan
-/// yields now and then.
+/// Like tokio's own types, it makes a task that always finds a scan yield now and then.
 #[derive(Clone)]
 #[must_use = "polling stops when the stream is dropped"]
 pub struct ScanStream {

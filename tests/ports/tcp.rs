@@ -156,17 +156,22 @@ async fn an_error_quotes_the_servers_words() {
     let telnet = b"\xff\xfb\x03\xff\xfd,Device open failure: Value or file not found\r\n";
     let negotiated = [&b"\xff\xfa\x2c\x01text\xff\xf0"[..], busy].concat();
     let longest = "s".repeat(160);
+    let page = [b"HTTP/1.1 400 Bad Request\r\n\r\n", longest.as_bytes()].concat();
     for (text, quoted) in [
         (busy, Some("Port already in use")),
         (telnet, Some("Device open failure: Value or file not found")),
         (&negotiated, Some("Port already in use")),
         (b"\r\nport 2000\r\n\r\nbusy\r\n", Some("port 2000 busy")),
         (longest.as_bytes(), Some(longest.as_str())),
+        (b"SSH-2.0-Go\r\n", Some("SSH-2.0-Go")),
+        (b"\r\nSSH-2.0-OpenSSH_9.2\r\n\0\0\x05\x1c\x06\x14\x80", Some("SSH-2.0-OpenSSH_9.2")),
+        (&page, Some("HTTP/1.1 400 Bad Request")),
         (&[b's'; 161], None),
         (b"\xff\xfb\x03\xff\xfd,", None),
         (b"0C0D0o0a\n0C0D", None),
         (b"\xff", None),
         (b"p\x80", None),
+        (b"0C0D\x80\r\n", None),
     ] {
         let server = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
         let address = format!("tcp://{}", server.local_addr().unwrap());

@@ -1,11 +1,12 @@
 //! Sensors on USB, hosts and rates at random, against the motor that the clock cannot see: how far
-//! stamps that rest on the motor are off, and how soon there are some. Sensor, motor and host share no
-//! code with the clock.
+//! stamps that rest on the motor are off, and how soon there are some. They share no code with it.
 //!
 //! `SCIP_MOTORS=20 cargo test --release --lib motor_clock::model -- --nocapture` draws 320 sensors for
 //! each cell, prints each cell, and takes a minute or two; `SCIP_MOTORS_FIRST=1000001` draws others.
 
 use std::ops::Range;
+
+use fastrand::Rng;
 
 use super::*;
 
@@ -19,15 +20,11 @@ const FRAME: f64 = 1e-3;
 const STAMP_BOUND: f64 = 2e-3;
 const PERIOD_BOUND: f64 = 1e-3;
 
-/// Numbers that only look random (xorshift).
-pub(in super::super) struct ModelRandom(pub(in super::super) u64);
+pub(in super::super) struct ModelRandom(pub(in super::super) Rng);
 
 impl ModelRandom {
     pub(in super::super) fn below_one(&mut self) -> f64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0 >> 11) as f64 / (1_u64 << 53) as f64
+        self.0.f64()
     }
 
     pub(in super::super) fn between(&mut self, least: f64, most: f64) -> f64 {
@@ -175,8 +172,7 @@ struct Kind {
 #[derive(Debug, Default)]
 struct Cell {
     stamps: usize,
-    /// Stamps that rest on the motor, and those of them that are farther off than the delay that
-    /// explains most of their session.
+    /// Stamps that rest on the motor, and how many are farther off than the delay that explains most.
     motor: usize,
     wrong: usize,
     wrong_periods: usize,
@@ -186,7 +182,7 @@ struct Cell {
 
 impl Cell {
     fn add(&mut self, kind: Kind, seed: u64) {
-        let mut random = ModelRandom(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
+        let mut random = ModelRandom(Rng::with_seed(seed));
         let epoch = Instant::now();
         let (mut motor, told) = Motor::draw(&mut random, kind.is_odd);
         let mut clock = MotorClock::new(Duration::from_secs_f64(told));

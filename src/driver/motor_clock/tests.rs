@@ -27,7 +27,8 @@ fn replies_of_a_real_sensor_lie_on_one_line() {
 
 #[test]
 fn senseless_times_neither_panic_nor_bend_the_period() {
-    let (mut random, mut clock) = (model::ModelRandom(7), MotorClock::new(NOMINAL));
+    let (mut random, mut clock) =
+        (model::ModelRandom(fastrand::Rng::with_seed(7)), MotorClock::new(NOMINAL));
     let mut now = Instant::now();
     for _ in 0..200_000 {
         let requested = now;

@@ -4,6 +4,8 @@
 //! `SCIP_CLOCKS=20 cargo test --release --lib sensor_clock::model -- --nocapture` draws 320 sensors for
 //! each cell, prints each cell, and takes a minute; `SCIP_CLOCKS_FIRST=1000001` draws others.
 
+use fastrand::Rng;
+
 use super::super::motor_clock::model::{Host, ModelRandom, Slew, seeds};
 use super::*;
 
@@ -50,7 +52,7 @@ struct Cell {
 
 impl Cell {
     fn add(&mut self, kind: Kind, seed: u64) {
-        let mut random = ModelRandom(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
+        let mut random = ModelRandom(Rng::with_seed(seed));
         let epoch = Instant::now();
         let error = if kind.is_odd { 0.13 } else { 0.004 };
         let mut period = kind.revolution * random.between(1.0 - error, 1.0 + error);

@@ -126,16 +126,7 @@ impl Service<'_> {
                 latest = latest.next();
                 let is_served = match latest {
                     Turn::Request => match self.queue.pop()? {
-                        Some(request) => {
-                            self.deliver_waiting(session)?;
-                            rarely(|| self.answer(session, *request)).await?;
-                            // A stream may have been dropped since the last request.
-                            self.schedules.drop_unread();
-                            if self.schedules.stream(self.scan_time).is_none() {
-                                session.streams().iter_mut().for_each(|it| it.allow_gap());
-                            }
-                            true
-                        }
+                        Some(request) => rarely(|| self.serve(session, *request)).await?,
                         None => false,
                     },
                     Turn::Setting if has_setting => rarely(|| self.apply_setting(session)).await?,
@@ -168,6 +159,18 @@ impl Service<'_> {
             self.switch_laser(session, false, true).await?;
         }
         Ok(())
+    }
+
+    /// Answers a request, after what came before it. Returns true.
+    async fn serve(&mut self, session: &mut Session, request: Request) -> Result<bool, Stop> {
+        self.deliver_waiting(session)?;
+        self.answer(session, request).await?;
+        // A stream may have been dropped since the last request.
+        self.schedules.drop_unread();
+        if self.schedules.stream(self.scan_time).is_none() {
+            session.streams().iter_mut().for_each(|it| it.allow_gap());
+        }
+        Ok(true)
     }
 
     async fn answer(&mut self, session: &mut Session, request: Request) -> Result<(), Stop> {

@@ -72,8 +72,7 @@ impl Service<'_> {
         outcome
     }
 
-    /// Changes the baud rate. From now on it is restored, unless the sensor refuses it: then the
-    /// one before it is.
+    /// Changes the baud rate. From now on it is restored, unless the sensor refuses it.
     pub(super) async fn change_baud_rate(
         &mut self,
         session: &mut Session,

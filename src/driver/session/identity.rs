@@ -1,6 +1,5 @@
-//! Identifies the sensor. No checksum protects a reply to `V`, and one of `VV` does not see every
-//! bit: one flipped bit must neither reject a sensor, nor become the expected number, nor change the
-//! directions or times of a session.
+//! Identifies the sensor. No checksum protects a reply to `V`, and one of `VV` does not see every bit:
+//! one flipped bit must not reject a sensor, change its number, or its directions or times.
 
 use std::sync::Arc;
 
@@ -69,8 +68,7 @@ fn find_number<'a>(
 ) -> Option<&'a VersionReply> {
     replies.iter().find(|reply| {
         let number = &reply.version.serial_number;
-        // An empty serial number never replaces an expected one. One with unprintable bytes is
-        // malformed, even if it repeats.
+        // An empty serial number never replaces an expected one. An unprintable one is malformed.
         let can_be_new = number.is_printable() && (expected.is_none() || !number.is_empty());
         let same = replies.iter().filter(|other| other.version.serial_number == *number);
         expected == Some(number) || can_be_new && same.count() >= enough

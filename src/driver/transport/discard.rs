@@ -16,8 +16,7 @@ const MAX_INTERRUPTED: usize = 16;
 const SCRATCH_BYTES: usize = 512;
 
 impl Transport {
-    /// Drops the bytes received since the last reply, because they are older than the next
-    /// command. Returns their number.
+    /// Drops the bytes since the last reply, older than the next command. Returns their number.
     pub(crate) async fn discard_pending(&mut self) -> Result<u64, LinkError> {
         if let Some(outcome) = self.try_discard_pending() {
             return outcome;

@@ -35,17 +35,24 @@ impl Greeting {
         matches!(self.0[..], [IAC, WILL..=DONT, ..])
     }
 
-    /// Returns the text in the greeting, without telnet commands and with its lines joined by
-    /// blanks. `None` if there is none: it is longer than a greeting, something is not printable,
-    /// or the bytes can be part of a scan.
+    /// Returns the text in the greeting, without telnet commands and with its lines joined by blanks.
+    /// If it is longer, or something in it is not printable: its first line that ends in CR LF.
+    /// `None` if there is no text, or the bytes can be part of a scan.
     pub(super) fn words(&self) -> Option<Text> {
         let text = without_telnet(&self.0);
-        let text = text.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
-        let text = text.collect::<Vec<_>>().join(&b' ');
-        let is_printable = text.iter().all(|byte| matches!(byte, b' '..=b'~'));
+        let is_printable = |byte: &u8| matches!(byte, b' '..=b'~');
+        // No sensor sends a CR.
+        let lines = text.split_inclusive(|byte| *byte == b'\n');
+        let mut lines = lines.filter_map(|line| line.strip_suffix(b"\r\n"));
+        let line = lines.find(|line| !line.is_empty() && line.iter().all(is_printable));
+        let is_text = text.iter().all(|byte| is_printable(byte) || byte.is_ascii_whitespace());
+        if self.0.len() > CAPACITY || !is_text {
+            return line.map(Text::from);
+        }
         // The characters of a scan end at `o`.
-        let is_text = text.iter().any(|byte| matches!(byte, b'p'..=b'z'));
-        (is_printable && is_text && self.0.len() <= CAPACITY).then(|| text.as_slice().into())
+        let is_scan = line.is_none() && !text.iter().any(|byte| matches!(byte, b'p'..=b'z'));
+        let words = text.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        (!is_scan).then(|| words.collect::<Vec<_>>().join(&b' ').as_slice().into())
     }
 }
 

@@ -317,8 +317,7 @@ impl Transport {
                 Poll::Ready(Ok(0)) => return Poll::Ready(Err(self.lost(None).into())),
                 Poll::Ready(Err(error)) => return Poll::Ready(Err(self.lost(Some(error)).into())),
                 Poll::Ready(Ok(_)) => {
-                    // The codec skips the NULs that a line leaves in front of a reply when it
-                    // changes its speed or breaks.
+                    // The codec skips the NULs that a line leaves in front of a reply.
                     if self.times.is_none() && self.input.iter().any(|byte| *byte != 0) {
                         self.begin_reply();
                     }

@@ -16,9 +16,8 @@ pub(super) use self::system_ports::SystemPorts;
 use super::ConnectHints;
 use crate::{Error, ErrorChain, ErrorKind};
 
-/// Time for which busy ports are retried. A service that opens several sensors at once tries each
-/// on the others' ports. Such a port is free again as soon as the other driver has found that it
-/// has the wrong sensor.
+/// Time for which busy ports are retried. A service that opens several sensors at once tries each on
+/// the others' ports. Such a port is free again as soon as the other driver has found the wrong sensor.
 const BUSY_LIMIT: Duration = Duration::from_secs(2);
 
 /// Time between two listings of the ports, to find new ones, and to retry those that were busy.

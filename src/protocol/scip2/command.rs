@@ -89,8 +89,8 @@ pub enum Data {
     Distances,
     /// `S`: a distance in two characters, 12 bits. A URG-04LX-UG01 sends 4095 for larger ones.
     ShortDistances,
-    /// `E`: distance and intensity, three characters each. Do not ask a URG-04LX: it can lock up
-    /// until it is switched off.
+    /// `E`: distance and intensity, three characters each. Do not ask a URG-04LX: it can lock up until
+    /// it is switched off.
     Intensities,
 }
 

@@ -12,8 +12,7 @@ use super::command::{Data, LINE};
 use super::lines::{FIRST_CHARACTER, block, number, quoted};
 use crate::protocol::MalformedError;
 
-/// Values of three characters in three full lines: a value that runs over the end of a line never
-/// runs over the end of these.
+/// Values of three characters in three full lines: no value runs over the end of these.
 const VALUES: usize = 64;
 /// Length of a full line with its sum and LF, and of three of them.
 const FULL: usize = LINE + 2;

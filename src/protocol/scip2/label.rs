@@ -29,9 +29,8 @@ impl Label {
         }
     }
 
-    /// Creates a label of eight characters from a number: count up, and each command has a label of
-    /// its own. Begin at a random number, so that replies to another program, or to yours before it
-    /// was restarted, match no request.
+    /// Creates a label of eight characters from a number: count up, and each command has a label of its
+    /// own. Begin at a random number, so that no reply to an earlier program matches a request.
     ///
     /// Two labels differ in at least two characters, because the last one is a sum of the others. So
     /// no damaged byte turns a label into another one. They repeat after 4.4e12 numbers.

@@ -10,8 +10,7 @@ use crate::protocol::Text;
 pub struct Status([u8; 2]);
 
 impl Status {
-    /// Creates a status of two digits or capital letters: the sum of others may be right, because it
-    /// does not see bit 6.
+    /// Creates a status of two digits or capital letters: the sum does not see bit 6 of others.
     pub(super) fn new(characters: [u8; 2]) -> Option<Self> {
         let is_valid = |byte: &u8| matches!(byte, b'0'..=b'9' | b'A'..=b'Z');
         characters.iter().all(is_valid).then_some(Self(characters))

@@ -169,8 +169,7 @@ fn explain_silence(transport: &Transport, command: &Command) -> Option<ExchangeE
         let error = ErrorKind::WrongProtocol { expected: Protocol::Scip1, status: "99b".into() };
         return Some(ExchangeError::Command(error));
     }
-    // A wrong baud rate can produce any bytes. So look for telnet only on a port without
-    // a settable baud rate.
+    // Only on a port without a baud rate: a wrong one can produce any bytes.
     let telnet = !transport.adjustable && transport.greeting.is_telnet();
     let echo = [&command.bytes(), &b"\r\n"[..]].concat();
     let translated = pending.windows(echo.len()).any(|part| part == echo);

@@ -7,8 +7,7 @@ use super::exchange::refusal;
 use crate::protocol::{Command, Status, Text};
 
 impl Scip1 {
-    /// Switches the laser, and checks whether the sensor measures: it refuses a `G` if and only if
-    /// its laser is off.
+    /// Switches the laser, and checks it by a `G`, which the sensor refuses only while it is off.
     pub(in super::super) async fn set_laser(&mut self, on: bool) -> Result<(), ExchangeError> {
         let command = if on { Command::LaserOn } else { Command::LaserOff };
         let (mut status, mut fence) = self.switch(command).await?;

@@ -54,8 +54,7 @@ impl Scip1 {
         self.fence().await.map(Status::is_ok)
     }
 
-    /// Chooses what to ask for to get the values of `window`. `None` if a copy of the latest reply
-    /// would match the request.
+    /// Chooses what to ask for to get `window`. `None` if a copy of the latest reply would match.
     pub(super) fn choose(&mut self, window: Window) -> Option<Widened> {
         let widened = self.unique_requests.widen(window);
         (!widened.repeats || !self.may_be_copied()).then_some(widened)
@@ -127,8 +126,7 @@ impl Scip1 {
         if self.line.is_settled { Ok(()) } else { rarely(|| self.fence()).await.map(drop) }
     }
 
-    /// Returns true if a copy of the latest frame may still be on its way: on a serial line, for
-    /// [`COPY_TIME`] after the frame.
+    /// Returns true if a copy of the latest frame may come: on a serial line, for [`COPY_TIME`].
     pub(super) fn may_be_copied(&self) -> bool {
         // Last, because reading the clock costs more than the rest.
         self.line.transport.believed_baud_rate().is_some()

@@ -72,8 +72,7 @@ impl UniqueRequests {
         place.unwrap_or(self.recent.len())
     }
 
-    /// Chooses the single step to request as a fence. No other `G` asked for it alone, so
-    /// no older reply can match it.
+    /// Chooses the single step of a fence. No other `G` asked for it alone: no older reply matches.
     pub(super) fn fence(&mut self) -> Window {
         for _ in 0..STEPS {
             if !self.was_asked_alone(self.fence) {

@@ -6,13 +6,13 @@
 //! `exchange` sends one request and waits for its reply.
 
 mod exchange;
+mod sequence;
 mod stream;
 
 use std::time::Duration;
 
-use tokio::time::Instant;
-
 use self::exchange::{Answer, accepted, refusal, text};
+use self::sequence::Sequence;
 use self::stream::{Running, Waiting};
 use super::super::failure::{ExchangeError, LinkError};
 use super::super::motor_clock::Revolution;
@@ -61,10 +61,7 @@ pub(super) struct State {
     /// What the stream has sent, and the driver has not yet delivered.
     pub(super) waiting: Waiting,
     clock: SensorClock,
-    /// Clock and arrival of a stream's latest scan, and how many are left out after it (`None`: any).
-    latest: Option<(Stamp, Instant, Option<u8>)>,
-    /// True if that one came twice.
-    was_copied: bool,
+    sequence: Sequence,
     /// Typical time that a scan of a stream takes to arrive.
     took: Duration,
 }
@@ -84,8 +81,7 @@ impl State {
             running: None,
             waiting: Waiting::new(),
             clock: SensorClock::new(Geometry::URG_04LX.revolution()),
-            latest: None,
-            was_copied: false,
+            sequence: Sequence::default(),
             took: Duration::ZERO,
         }
     }
@@ -129,8 +125,7 @@ impl Scip2<'_> {
     pub(super) async fn enter(&mut self) -> Result<(), ExchangeError> {
         let mut answer = self.enter_once().await;
         for _ in 1..ENTRIES {
-            // A flipped bit changes the status unseen. Once in SCIP 2, the sensor refuses with two
-            // characters and their sum.
+            // A flipped bit changes the status unseen. In SCIP 2 it refuses with two and their sum.
             match &answer {
                 Ok(status) if matches!(status.as_bytes(), [b'0'] | [_, _, _]) => {
                     return self.stop().await;
@@ -371,8 +366,7 @@ impl Scip2<'_> {
         accepted(answer).map(|answer| text(answer.status))
     }
 
-    /// Sends a command that may be sent twice, once more if there was no answer, and fails unless the
-    /// sensor accepts it.
+    /// Sends a command, once more if there was no answer, and fails unless the sensor accepts it.
     async fn ask_twice(&mut self, command: Command) -> Result<Answer, ExchangeError> {
         let answer = match self.exchange(command).await {
             Err(failure) if failure.is_lost_reply() && !self.line.shared.is_closing() => {

@@ -18,21 +18,13 @@ use super::super::super::transport::{ReceivedFrame, ReplyTimes};
 use super::super::errors::{record_malformed, record_silence};
 use super::super::{Acquired, Streamed};
 use super::exchange::{accepted, find_own, is_like_a_stream, raw_reply, refusal, without_label};
+use super::sequence::WRAP;
 use super::{LIMITS, Scip2, State, acquired};
 use crate::codec::Frame;
 use crate::protocol::ReplyError;
-use crate::protocol::scip2::{Command, Content, Reply, Request, Scan, Stamp, Status, Stream};
+use crate::protocol::scip2::{Command, Content, Reply, Request, Scan, Status, Stream};
 use crate::state::Shared;
 use crate::{BaudRate, Error, ErrorKind, Geometry, Window};
-
-/// Milliseconds after which the sensor's clock begins anew: 24 bits (p. 12).
-const CLOCK: u32 = 1 << 24;
-const WRAP: Duration = Duration::from_millis(CLOCK as u64);
-/// By how much a scan may be older than the latest one: with a larger step back the clock has likely jumped.
-const OLDEST: Duration = Duration::from_secs(10);
-/// How much more than the arrivals the sensor's clock may have moved on between two scans, because the
-/// first was late. With a larger step it has more likely jumped.
-const LONGEST_DELAY: Duration = Duration::from_secs(1);
 
 /// Returns true if a line carries scans that take this long, one each `period`. A fuller line hardly
 /// catches up after a pause: all come late, at a pace so even that the sensor's clock seems slow.
@@ -105,7 +97,7 @@ impl Scip2<'_> {
 
     /// Stops counting lost scans until the next stream: nobody wants those in between.
     pub(crate) fn allow_gap(&mut self) {
-        self.state.latest = self.state.latest.map(|(stamp, received, _)| (stamp, received, None));
+        self.state.sequence.allow_gap();
     }
 
     /// Ends the stream, if one runs. The laser stays on.
@@ -180,11 +172,11 @@ impl Scip2<'_> {
                     return Poll::Ready(Ok(()));
                 }
             };
-            let was_copied = self.state.was_copied;
+            let was_repeated = self.state.sequence.repeats;
             self.state.take_unasked(&received, baud_rate, &self.line.observers, &self.line.shared);
             drop(received);
             // What looks like a copy shows, too, that the sensor sends: its clock may stand still.
-            if self.state.waiting.len() > before || self.state.was_copied && !was_copied {
+            if self.state.waiting.len() > before || self.state.sequence.repeats && !was_repeated {
                 self.expect_scan();
             } else {
                 self.line.transport.begin_frame()?;
@@ -229,8 +221,7 @@ impl State {
         (self.running, self.has_stray_frames) = (None, false);
     }
 
-    /// Takes a frame that answers no request: shows it to the observers, and counts it if it does not
-    /// belong to the stream.
+    /// Takes a frame that answers no request. Counts it if it does not belong to the stream.
     pub(super) fn take_unasked(
         &mut self,
         received: &ReceivedFrame<'_>,
@@ -310,28 +301,12 @@ impl State {
 
     /// Lets a scan wait, unless it is a copy of the latest one, or comes after a newer one.
     fn add_scan(&mut self, running: Running, scan: Scan, times: ReplyTimes, shared: &Shared) {
-        let latest = self.latest.replace((scan.stamp, times.received, Some(running.skipped)));
-        let is_same = latest.is_some_and(|(stamp, ..)| stamp == scan.stamp);
-        // One copy may come late. More than one are scans of a clock that stands still.
-        let may_be_copy = !std::mem::replace(&mut self.was_copied, is_same);
-        if let Some((stamp, received, skipped)) = latest {
-            let since = times.began.duration_since(received);
-            let is_soon = since < self.revolution() / 2;
-            // At its own time, it is the first scan after a jump of the clock.
-            let is_old = is_soon && between(scan.stamp, stamp) < OLDEST;
-            if is_old || is_same && (is_soon || may_be_copy) {
-                self.latest = Some((stamp, times.received, skipped));
-                tracing::trace!("the line has delivered a scan twice, or an old one");
-                return;
-            }
-            let period = self.period(running.skipped);
-            let passed = between(stamp, scan.stamp);
-            // Of the scans that the sensor has left out, none is lost.
-            if skipped == Some(running.skipped) && passed < since + LONGEST_DELAY {
-                let periods = (passed + period / 2).as_nanos() / period.as_nanos().max(1);
-                shared.counters.lock().stats.lost += (periods as u64).saturating_sub(1);
-            }
-        }
+        let revolution = self.revolution();
+        let Some(lost) = self.sequence.add(scan.stamp, &times, revolution, running.skipped) else {
+            tracing::trace!("the line has delivered a scan twice, or an old one");
+            return;
+        };
+        shared.counters.lock().stats.lost += lost;
         let (window, stamp) = (running.window, scan.stamp);
         let mut acquired = acquired(scan, times);
         if let Some(told) = acquired.told.as_deref_mut().filter(|_| !times.is_replayed) {
@@ -362,16 +337,6 @@ impl State {
 /// an error, and one when it has found none (p. 11).
 fn is_pause(status: Status) -> bool {
     matches!(status.characters(), [b'2'..=b'4', _] | [b'9', b'8'])
-}
-
-/// Time from one stamp to a later one. [`WRAP`] or less if it is not later.
-fn between(one: Stamp, later: Stamp) -> Duration {
-    match (one, later) {
-        (Stamp::Milliseconds(one), Stamp::Milliseconds(later)) => {
-            Duration::from_millis((later.wrapping_sub(one) % CLOCK).into())
-        }
-        (one, later) => later.since_zero().checked_sub(one.since_zero()).unwrap_or(WRAP),
-    }
 }
 
 impl Streamed {
