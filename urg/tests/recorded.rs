@@ -643,6 +643,8 @@ async fn a_copy_that_would_surprise_is_refused() {
     let name = std::path::Path::new(file).file_name().unwrap().display();
     let line = failure(&format!("cut {file} {folder}/./{name} {part}"));
     assert!(line.contains("named twice"), "{line}");
+    let line = failure(&format!("cut {file} {part}/"));
+    assert!(line.contains("expected a file"), "{line}");
     // It would not copy this topic alone.
     let line = run(&format!("cut {file} {part} --topic /scan"), 2).stderr;
     assert!(line.contains("--range"), "{line}");

@@ -72,10 +72,8 @@ fn write<T>(
     let listed = |file: &PathBuf| recording_files(file).map_err(|error| failure(file, &error));
     let files = files.iter().map(listed).collect::<Result<Vec<_>, _>>()?.concat();
     let mut known = HashSet::new();
-    if let Some(twice) = files
-        .iter()
-        .find(|file| !known.insert(file.canonicalize().unwrap_or_else(|_| file.to_path_buf())))
-    {
+    let is_known = |file: &&PathBuf| !known.insert(file.canonicalize().unwrap_or((*file).clone()));
+    if let Some(twice) = files.iter().find(is_known) {
         return Err(failure(twice, &io::Error::other("named twice: its scans would be doubled")));
     }
     let inputs = files.iter().map(|file| open(file)).collect::<Result<_, _>>()?;
@@ -98,11 +96,14 @@ fn write<T>(
     })
 }
 
-/// Creates a temporary file beside `path`, such as `run.mcap.a1B2c3.part`, which is removed on
-/// drop. It is an error if `path` exists.
+/// Creates a temporary file beside `path`, such as `run.mcap.a1B2c3.part`, which is removed on drop. It
+/// is an error if `path` exists, or can only be a folder.
 fn create(path: &Path) -> io::Result<NamedTempFile> {
     if path.symlink_metadata().is_ok() {
         return Err(io::ErrorKind::AlreadyExists.into());
+    }
+    if path.to_string_lossy().ends_with(std::path::is_separator) {
+        return Err(io::Error::other("expected a file, found the name of a folder"));
     }
     // The error of a temporary file would name that file.
     folder(path).metadata()?;
@@ -140,12 +141,10 @@ pub(crate) fn failure(path: &Path, error: &dyn std::error::Error) -> Failure {
 }
 
 fn not_created(path: &Path, error: &io::Error) -> Failure {
-    match error.kind() {
-        io::ErrorKind::AlreadyExists => {
-            Failure::Failed(format!("{} exists: use another name", path.display()))
-        }
-        _ => perhaps_without_folder(path, error),
+    if error.kind() == io::ErrorKind::AlreadyExists {
+        return Failure::Failed(format!("{} exists: use another name", path.display()));
     }
+    perhaps_without_folder(path, error)
 }
 
 /// Describes a file that cannot be created, and says if its folder is missing. Blocks.
