@@ -4,7 +4,7 @@ use std::path::Path;
 
 /// Most lines of Rust in `src` of each package, a little above what they have.
 const LIMITS: [(&str, usize); 4] =
-    [(".", 17_500), ("emulator", 5_600), ("recording", 7_738), ("urg", 16_050)];
+    [(".", 17_500), ("emulator", 5_600), ("recording", 7_718), ("urg", 16_050)];
 
 fn lines(folder: &Path) -> usize {
     let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());

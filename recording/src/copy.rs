@@ -158,7 +158,7 @@ pub fn cut_topic<R: Read + Send + 'static>(
         copy.step(number, source).map_err(RecordingError::write)?;
         if source.is_over {
             // The channels and schemas that have no message in the copy.
-            if !source.records.definitions().write_rest(lost_schema, &mut copy.writer) {
+            if !source.records.definitions.write_rest(lost_schema, &mut copy.writer) {
                 copy.outcome.add_damage(source.records.report_damage());
             }
         } else {
@@ -209,7 +209,7 @@ impl Source {
             let (kind, content, _) = match self.records.next() {
                 Ok(Some(record)) => record,
                 Ok(None) => {
-                    outcome.was_truncated |= self.records.is_truncated();
+                    outcome.was_truncated |= self.records.is_truncated;
                     self.is_over = true;
                     return Ok(());
                 }
@@ -239,7 +239,7 @@ impl Source {
 
     /// Strongest compression of its chunks so far that this build writes.
     fn compression(&self) -> Compression {
-        let mut known = self.records.chunk_bytes().compressions.iter();
+        let mut known = self.records.chunk_bytes.compressions.iter();
         known.rfind(|known| known.is_written()).copied().unwrap_or_default()
     }
 }
@@ -292,7 +292,7 @@ impl<W: Write> Copy<W> {
             self.writer.compression = self.writer.compression.max(source.compression());
         }
         let Some((mut header, data)) = MessageHeader::parse(&content) else { return Ok(()) };
-        let record = parse(&content, source.records.definitions()).and_then(Result::ok);
+        let record = parse(&content, &source.records.definitions).and_then(Result::ok);
         let identity = record.as_ref().and_then(|record| match &record.entry {
             Entry::Reply(reply) => reply.identity(),
             _ => None,
@@ -311,7 +311,7 @@ impl<W: Write> Copy<W> {
             return Ok(());
         }
         let is_early = self.chunk_began.is_none() && self.range.begins_after(at);
-        let definitions = source.records.definitions();
+        let definitions = &mut source.records.definitions;
         let channel = is_early.then(|| definitions.channel(header.channel)).flatten();
         let latched = channel.as_ref().and_then(LatchedTopic::of_channel);
         if !is_inside && identity.is_none() && latched.is_none() {

@@ -177,12 +177,12 @@ impl Recording {
     /// was full, or it is still recording. Other readers need the end, an index, to find the messages. Use
     /// [`repair`](super::repair) to make a complete file.
     pub fn is_truncated(&self) -> bool {
-        self.records.is_truncated()
+        self.records.is_truncated
     }
 
     /// Bytes of the chunks read so far, and their compressions.
     pub fn chunk_bytes(&self) -> ChunkBytes {
-        self.records.chunk_bytes().clone()
+        self.records.chunk_bytes.clone()
     }
 
     /// Continues in the next file. Returns false after the last one.
@@ -342,13 +342,11 @@ impl Iterator for Recording {
     type Item = Result<Record, RecordingError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        loop {
-            match self.next_item()? {
-                Ok(Item::Record(record)) => return Some(Ok(record)),
-                Ok(Item::Description(_) | Item::Unread(_)) => {}
-                Err(error) => return Some(Err(error)),
-            }
-        }
+        std::iter::from_fn(|| self.next_item()).find_map(|item| match item {
+            Ok(Item::Record(record)) => Some(Ok(record)),
+            Ok(Item::Description(_) | Item::Unread(_)) => None,
+            Err(error) => Some(Err(error)),
+        })
     }
 }
 

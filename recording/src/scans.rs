@@ -186,19 +186,16 @@ impl Iterator for RecordedScans {
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
-            match self.polls.next() {
-                None if self.has_answer => return None,
-                None => {
-                    self.has_answer = true;
-                    return Some(Err(self.polls.recording.no_scans()));
-                }
-                Some(Err(error)) => return Some(Err(error)),
-                Some(Ok(poll)) => {
-                    self.has_answer = true;
-                    if let Some(scan) = self.scan(&poll) {
-                        return Some(Ok(scan));
-                    }
-                }
+            let poll = match self.polls.next().transpose() {
+                Ok(poll) => poll,
+                Err(error) => return Some(Err(error)),
+            };
+            let had_answer = std::mem::replace(&mut self.has_answer, true);
+            let Some(poll) = poll else {
+                return (!had_answer).then(|| Err(self.polls.recording.no_scans()));
+            };
+            if let Some(scan) = self.scan(&poll) {
+                return Some(Ok(scan));
             }
         }
     }

@@ -200,7 +200,7 @@ impl Writer {
         let Part { began, full, after_scan, .. } = &mut self.part;
         let Some(began) = *began else { return false };
         let length = Duration::from_nanos(log_time.saturating_sub(began));
-        let is_full = self.parts.is_full(length, self.mcap.len(), self.mcap.index_entries());
+        let is_full = self.parts.is_full(length, self.mcap.len(), self.mcap.index.entries());
         if !is_full {
             return false;
         }

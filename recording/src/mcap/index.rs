@@ -17,7 +17,7 @@ pub(super) struct ChunkMessages {
 
 /// Contents of a file's summary.
 #[derive(Default)]
-pub(super) struct Index {
+pub(crate) struct Index {
     /// Number of each definition, by its kind and its content after the number.
     numbers: HashMap<(u8, Vec<u8>), u16>,
     /// Length of the definitions.
@@ -71,7 +71,7 @@ impl Index {
     }
 
     /// Number of chunks and metadata records.
-    pub(super) fn entries(&self) -> usize {
+    pub(crate) fn entries(&self) -> usize {
         self.chunks + self.metadata
     }
 

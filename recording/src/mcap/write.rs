@@ -24,7 +24,7 @@ pub(crate) struct McapWriter<W> {
     pub(crate) compression: Compression,
     /// Record of the latest compressed chunk.
     compressed: Vec<u8>,
-    pub(super) index: Index,
+    pub(crate) index: Index,
     /// Bytes of messages since a chunk began with all channels, in a copy. A recording repeats
     /// them in each chunk, so that losing one chunk does not affect the others.
     since_channels: Option<usize>,
@@ -73,11 +73,6 @@ impl<W: Write> McapWriter<W> {
     /// Returns true while there is room for twice as many chunks in the index.
     pub(crate) fn has_short_index(&self) -> bool {
         self.index.len() < MAX_INDEX_BYTES / 2
-    }
-
-    /// Number of chunks and metadata records written.
-    pub(crate) fn index_entries(&self) -> usize {
-        self.index.entries()
     }
 
     /// Writes a schema or channel, unless it was written before. `content` follows its number. Returns

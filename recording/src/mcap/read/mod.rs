@@ -41,14 +41,14 @@ pub(crate) struct Records {
     window: Window,
     /// Chunk whose records are being read.
     chunk: ChunkRecords,
-    chunk_bytes: ChunkBytes,
+    pub(crate) chunk_bytes: ChunkBytes,
     /// Name of the latest compression that this build does not read.
     unknown: Option<String>,
     /// Length of the latest record of the file.
     used: usize,
     /// Set once the file is known to have chunks, or none.
     has_chunks: Option<bool>,
-    definitions: Definitions,
+    pub(crate) definitions: Definitions,
     /// Position up to which a record that looked like the end of the data was no end.
     no_end: u64,
     /// Set once the index of the file was read.
@@ -58,7 +58,8 @@ pub(crate) struct Records {
     /// Position of the last reported damage.
     damaged_at: Option<u64>,
     is_over: bool,
-    is_truncated: bool,
+    /// True once the whole file was read, and its end is missing or damaged.
+    pub(crate) is_truncated: bool,
 }
 
 impl Records {
@@ -71,18 +72,6 @@ impl Records {
     pub(crate) fn continue_in(&mut self, file: File) {
         let chunk_bytes = std::mem::take(&mut self.chunk_bytes);
         *self = Self { chunk_bytes, is_truncated: self.is_truncated, ..Self::new(file) };
-    }
-
-    pub(crate) fn is_truncated(&self) -> bool {
-        self.is_truncated
-    }
-
-    pub(crate) fn chunk_bytes(&self) -> &ChunkBytes {
-        &self.chunk_bytes
-    }
-
-    pub(crate) fn definitions(&mut self) -> &mut Definitions {
-        &mut self.definitions
     }
 
     /// Leaves out chunks without a message at these times, if the file's index lists them and repeats
