@@ -95,6 +95,20 @@ fn an_unreadable_compression_is_explained() {
     assert!(text("lzo").contains("expected `zstd`, `lz4` or no compression"));
 }
 
+/// As some writers end each chunk, also an empty one.
+#[test]
+fn a_chunk_without_records_costs_nothing() {
+    let full = chunk_of(&[channel(), event(0)].concat());
+    let names: &[&str] = if cfg!(feature = "compression") { &["", "lz4", "zstd"] } else { &[""] };
+    for name in names {
+        let empty = of_kind(0x06, &[&[0; 28][..], &text(name), &[0; 8]].concat());
+        for parts in [[&empty, &full, &full], [&full, &empty, &full], [&full, &full, &empty]] {
+            let file = [MAGIC, &parts.map(Vec::as_slice).concat(), &end()].concat();
+            assert_eq!(read(&file), (vec![], 2, false), "{name}");
+        }
+    }
+}
+
 #[test]
 fn a_malformed_record_is_reported_and_left_out() {
     for (name, malformed) in [
@@ -234,6 +248,22 @@ fn a_length_in_a_later_chunk_is_no_record() {
             let file = [MAGIC, &chunk, &later, &chunk, &end()].concat();
             assert_eq!(read(&file), (vec![], 2, false), "kind {kind}, {fields_and_head}");
         }
+    }
+}
+
+/// Its content may look like records of the file.
+#[test]
+fn a_later_chunk_that_is_cut_off_is_read() {
+    let data = metadata().repeat(3);
+    let data = [&claims(data.len() as u32)[..], &data].concat();
+    let schema = of_kind(0x03, &[&[1, 0][..], &text("a"), &text("b"), &data].concat());
+    let begun = [channel(), event(0)].concat();
+    let chunk = chunk_of(&[&begun[..], &schema, &event(0)].concat());
+    let file = [MAGIC, &more(&chunk, &[1; 12])].concat();
+    let records_end = MAGIC.len() + chunk.len();
+    for length in MAGIC.len() + 49 + begun.len()..file.len() {
+        let events = 1 + usize::from(length >= records_end);
+        assert_eq!(read(&file[..length]), (vec![], events, true), "{length}");
     }
 }
 

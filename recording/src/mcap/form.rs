@@ -306,7 +306,11 @@ pub(super) fn next_start<E>(
     // A chunk begins here, whatever follows. The end of another record is right if that is found.
     let right = if extent.is_chunk { extent.end } else { 0 };
     let ends = (more..extent.end.min(known)).chain([right]);
-    for at in std::iter::once(1).chain(ends).chain(1..extent.end.min(known)) {
+    // A chunk that is cut off has no record of the file in it: its messages may look like some. One
+    // without its lengths ends somewhere.
+    let is_cut_off = extent.is_chunk && (known + 1..=MAX_CHUNK_BYTES).contains(&extent.end);
+    let searched = if is_cut_off { 1 } else { extent.end.min(known) };
+    for at in std::iter::once(1).chain(ends).chain(1..searched) {
         if (at < known || at == right) && begins(at)? {
             return Ok(if at == 0 { extent.end } else { at });
         }

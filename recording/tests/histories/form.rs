@@ -18,7 +18,7 @@ fn compress(_compression: &str, records: &[u8]) -> Vec<u8> {
 }
 
 /// Writes a complete file without compression anew. Leaves out the index, whose places would be
-/// wrong. If `is_mixed`, records of a chunk may stand outside.
+/// wrong, but for the definitions. If `is_mixed`, records of a chunk may stand outside.
 pub(super) fn rewritten(random: &mut Random, file: &[u8], is_mixed: bool) -> Vec<u8> {
     let mut form = Form {
         is_later: random.once_in(2),
@@ -42,12 +42,14 @@ pub(super) fn rewritten(random: &mut Random, file: &[u8], is_mixed: bool) -> Vec
             0x0f => {
                 let is_told = content != [0; 4] && form.compressions.len() == 1;
                 let crc = if is_told { crc32fast::hash(&form.out) } else { 0 };
-                let end = [of_kind(kind, &crc.to_le_bytes()), of_kind(0x02, &[0; 20])].concat();
-                return [form.out, end, MAGIC.to_vec()].concat();
+                form.out.extend(of_kind(kind, &crc.to_le_bytes()));
+                form.end();
+                return form.out;
             }
             _ => {
                 let record = form.record(kind, content);
                 form.out.extend(record);
+                form.beside();
             }
         }
     }
@@ -85,6 +87,34 @@ impl Form<'_> {
             }
         }
         self.end_chunk(head, &mut inner);
+    }
+
+    /// Writes an end with definitions, or without: no statistics, no places of chunks and no offsets.
+    fn end(&mut self) {
+        let (start, place) = (self.out.len(), self.out.len() as u64);
+        let place = if self.random.once_in(2) { place } else { 0 };
+        if place > 0 {
+            self.out.extend(self.definitions.concat());
+        }
+        let head = &of_kind(0x02, &[0; 20])[..9];
+        self.out.extend([head, &place.to_le_bytes(), &[0; 8]].concat());
+        let crc = if self.has_checksums { crc32fast::hash(&self.out[start..]) } else { 0 };
+        self.out.extend([&crc.to_le_bytes(), MAGIC].concat());
+    }
+
+    /// Writes what has no message: a list without entries, or an attachment.
+    fn beside(&mut self) {
+        let record = match self.random.below(39) {
+            0 => of_kind(0x07, &[0; 6]),
+            1 => {
+                let data = vec![*self.random.pick(&[0, 1, 6]); self.random.below(99) as usize];
+                let texts = [&[0; 16][..], &text("map.yaml"), &text("text/yaml")].concat();
+                let length = (data.len() as u64).to_le_bytes();
+                of_kind(0x09, &[&texts, &length[..], &data, &[0; 4]].concat())
+            }
+            _ => return,
+        };
+        self.out.extend(record);
     }
 
     fn end_chunk(&mut self, head: &[u8], records: &mut Vec<u8>) {
