@@ -12,6 +12,7 @@ use tokio_scip::{Scan, Window};
 use urg_recording::{Entry, LeftOut, LeftOutReason, Recording, RecordingError, cut, cut_topic};
 
 use crate::common::random::{Random, seeds};
+use crate::raw::{claims, of_kind, text};
 use crate::sink::{replayed, window};
 
 const SECOND: i64 = 1_000_000_000;
@@ -651,7 +652,14 @@ fn a_part_counts_from_the_scans_of_its_topic() {
     let (mut parts, mut nothing) = (0, 0);
     for seed in seeds("URG_TOPIC", 200) {
         let random = &mut Random::new(seed);
-        let (file, _) = bag(random, None);
+        let (mut file, _) = bag(random, None);
+        if random.once_in(2) {
+            // Metadata of a stream, after the header: they say nothing of other topics.
+            let pairs = ["start", "44", "end", "50", "cluster", "1"].map(text).concat();
+            let pairs = [&text("tokio_scip")[..], &claims(pairs.len() as u32), &pairs].concat();
+            let header = 17 + usize::from(file[9]);
+            file.splice(header..header, of_kind(0x0c, &pairs));
+        }
         let tenths = Duration::from_millis(100);
         let from = tenths * random.below(20) as u32;
         let range = from..from + tenths * (1 + random.below(20) as u32);
