@@ -110,22 +110,20 @@ impl Schedules {
         }
     }
 
-    /// Stream that serves all schedules which are not too slow for one, if there are any.
+    /// Stream that serves all schedules, if there are any that are not too slow for one.
     pub(crate) fn stream(&self, revolution: Duration) -> Option<StreamWish> {
         let turns = self.all.iter().filter_map(|schedule| schedule.turns(revolution)).min()?;
         let is_dense = |turns: &u8| self.all.iter().all(|one| one.is_served(revolution, *turns));
         let skipped = (1..=turns).rev().find(is_dense).map_or(0, |turns| turns - 1);
-        // The slow ones can take their scans from it, too.
+        // The slow ones take their scans from it, too: a poll beside it would wait for the next.
         let measured = self.all.iter().filter(|schedule| schedule.is_measured);
         let window = measured.map(|schedule| schedule.stats.window);
         Some(StreamWish { window: window.reduce(|one, other| one.hull(&other))?, skipped })
     }
 
     /// Serves the schedules from the stream.
-    pub(crate) fn begin_stream(&mut self, revolution: Duration) {
-        for schedule in &mut self.all {
-            schedule.is_streamed = schedule.turns(revolution).is_some();
-        }
+    pub(crate) fn begin_stream(&mut self) {
+        self.all.iter_mut().for_each(|schedule| schedule.is_streamed = schedule.is_measured);
     }
 
     /// Polls for all schedules again.
@@ -302,7 +300,7 @@ impl Schedule {
         let (apart, shorter) = (revolution * turns.into(), revolution / 20);
         let over = || (period + shorter).as_nanos() % apart.as_nanos().max(1);
         let is_multiple = || over() <= (shorter + period / 100).as_nanos();
-        turns == 1 || self.turns(revolution).is_none() || period >= 4 * apart || is_multiple()
+        turns == 1 || !self.is_measured || period >= 4 * apart || is_multiple()
     }
 
     fn poll(&self, skipped: u64) -> DuePoll {
@@ -379,7 +377,7 @@ mod tests {
         let start = Instant::now();
         let mut schedules = Schedules::new(Arc::new(Shared::new(None)));
         let _reader = schedules.subscribe(Window::FULL, Rate::hz(10.0), 1, None, None);
-        schedules.begin_stream(PERIOD);
+        schedules.begin_stream();
         let turn = Duration::from_micros(99_760);
         for n in 0..10_000 {
             assert!(!schedules.take_streamed(start + turn * n, PERIOD, None).is_empty());

@@ -9,6 +9,7 @@ mod reboot;
 mod refusals;
 mod serial;
 mod streams;
+mod subscriptions;
 mod swaps;
 mod times;
 

@@ -23,7 +23,7 @@ impl Service<'_> {
             streams.allow_gap();
             return Ok(());
         };
-        self.schedules.begin_stream(self.scan_time);
+        self.schedules.begin_stream();
         let outcome = streams.stream(wish).await;
         match outcome {
             Ok(()) => self.streamed = Some(wish.skipped),
