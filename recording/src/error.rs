@@ -85,8 +85,7 @@ pub enum RecordingError {
         /// What is missing.
         reason: &'static str,
     },
-    /// This build does not write the compression: feature `compression` writes `lz4`, and feature
-    /// `zstd` both.
+    /// This build does not write the compression: feature `compression` writes `lz4`, feature `zstd` both.
     #[error(
         "cannot compress with {compression}: build with the feature `{}`",
         feature(compression)
@@ -156,6 +155,9 @@ fn instead(left_out: &[LeftOut], topics: &[String], others: &[String]) -> String
     let others = others.join(", ");
     match topics {
         [] if others.is_empty() || !left_out.is_empty() => String::new(),
+        [] if others.contains("MultiEcho") => {
+            format!("; found {others}: play it to ROS's laser_proc, and record what that publishes")
+        }
         [] => format!("; found {others}: record the scans with `ros2 bag record --storage mcap`"),
         topics => format!("; choose a topic: {}", topics.join(", ")),
     }

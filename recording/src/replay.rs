@@ -54,8 +54,7 @@ struct Replies {
     memory: [Vec<u32>; 2],
     /// Sensor's clock at the latest scan, in SCIP 2.
     clock: Duration,
-    /// First error of reading the file. The replay continues with what it can read, and reports it at
-    /// its end.
+    /// First error of reading the file. The replay continues with what it can read, and ends with it.
     failure: Option<RecordingError>,
 }
 

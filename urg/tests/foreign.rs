@@ -46,6 +46,7 @@ fn write(file: &Scratch, messages: impl IntoIterator<Item = Message>) {
                 "/old/scan" => ("sensor_msgs/LaserScan", "ros1"),
                 "rt/scan" => ("sensor_msgs::msg::dds_::LaserScan_", "cdr"),
                 "/viewed" => ("foxglove.LaserScan", "protobuf"),
+                "/echoes" => ("sensor_msgs/msg/MultiEchoLaserScan", "cdr"),
                 _ => ("sensor_msgs/msg/LaserScan", "cdr"),
             };
             bag.add_schema_with_id(number, name, "ros2msg", b"").unwrap();
@@ -153,6 +154,9 @@ fn a_bag_without_a_scan_is_named_for_what_it_is() {
     assert!(
         line.ends_with("; 5 messages of another type (the first: /viewed, foxglove.LaserScan)\n")
     );
+    write(&file, (0..5).map(|tenth| Message { topic: "/echoes", ..scan(windows()[0], tenth) }));
+    let line = failure(&format!("info {}", file.path()));
+    assert!(line.ends_with("laser_proc, and record what that publishes\n"), "{line}");
     // The scans of `/scan` are there to choose.
     write(&file, (0..5).map(|tenth| scan(windows()[0], tenth)));
     for command in ["info", "check", "stream", "scan", "serve"] {

@@ -1,5 +1,4 @@
-//! The index at the end of a file. With a complete one, later parts can be read without the parts before
-//! them.
+//! The index at the end of a file. With a complete one, later parts can be read without the ones before.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
