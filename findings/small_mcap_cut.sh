@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # small-mcap 0.16.0 (PyPI) reads a file that is cut off without a word, and cannot recover one that mcap wrote.
 #
-# A recorder that lost its power leaves a file without its end. "Recovery of an incomplete file is opt-in." Expected
+# A recorder that lost its power leaves a file without its end. Its README has an option for such files. Expected
 # without it: an error, as of mcap 1.6.0 (PyPI); with `recover=True`: all whole chunks. But without it the messages end
 # at the cut, as if there were no more. With it, a file of mcap's writer, which has its channels in the chunks alone, as
 # the format permits, yields no message: ChannelNotFoundError. A file of its own writer is recovered.
