@@ -294,24 +294,29 @@ fn a_second_emulator_takes_no_used_link() {
 }
 
 #[test]
-fn bytes_that_are_no_reply_are_counted() {
+fn bytes_that_are_no_reply_are_quoted_or_counted() {
     use std::io::{Read, Write};
-    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = listener.local_addr().unwrap();
-    // A receiver of satellites, which answers whatever it is asked with its place.
-    std::thread::spawn(move || {
-        for client in listener.incoming() {
-            let mut client = client.unwrap();
-            let mut command = [0; 64];
-            while client.read(&mut command).is_ok_and(|count| count > 0)
-                && client.write_all(b"$GPGGA,123519,4807\r\n").is_ok()
-            {}
+    // A receiver of satellites, as text and in its binary form, answers whatever it is asked with its place.
+    for (place, expected) in [
+        (&b"$GPGGA,123519,4807\r\n"[..], "found the text \"$GPGGA,123519,4807"),
+        (b"\xb5\x62\x01\x07\x80\n", "bytes that are not a SCIP reply"),
+    ] {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        std::thread::spawn(move || {
+            for client in listener.incoming() {
+                let mut client = client.unwrap();
+                let mut command = [0; 64];
+                while client.read(&mut command).is_ok_and(|count| count > 0)
+                    && client.write_all(place).is_ok()
+                {}
+            }
+        });
+        for command in ["info", "check"] {
+            let output = run(&format!("{command} tcp://{address} --timeout 1s"), 1);
+            let text = output.stdout + &output.stderr;
+            assert!(text.contains(expected), "{text}");
         }
-    });
-    for command in ["info", "check"] {
-        let output = run(&format!("{command} tcp://{address} --timeout 1s"), 1);
-        let text = output.stdout + &output.stderr;
-        assert!(text.contains("bytes that are not a SCIP reply"), "{text}");
     }
 }
 
