@@ -104,9 +104,10 @@ impl Form<'_> {
 
     /// Writes what has no message: a list without entries, or an attachment.
     fn beside(&mut self) {
-        let record = match self.random.below(39) {
-            0 => of_kind(0x07, &[0; 6]),
-            1 => {
+        let record = match self.random.below(40) {
+            0 => return self.end_chunk(&[0; 28], &mut Vec::new()),
+            1 => of_kind(0x07, &[0; 6]),
+            2 => {
                 let data = vec![*self.random.pick(&[0, 1, 6]); self.random.below(99) as usize];
                 let texts = [&[0; 16][..], &text("map.yaml"), &text("text/yaml")].concat();
                 let length = (data.len() as u64).to_le_bytes();
