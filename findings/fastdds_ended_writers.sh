@@ -9,10 +9,9 @@ cd "$(dirname "$0")"
 python3 - <<'END'
 import os
 import subprocess
-import sys
 
 from cyclone_writer import cyclone_writer
-from place import PLACE, compare, network
+from place import compare, network, ros
 
 WRITER = cyclone_writer(7, "rt/text", "std_msgs::msg::dds_::String_") + """
 import gc
@@ -52,12 +51,8 @@ print(*gone, wait(lambda: not of_fast_dds(), 20), flush=True)
 os._exit(0)
 """
 KEY_HASH = "<CycloneDDS><Domain><Internal><GenerateKeyhash>true</GenerateKeyhash></Internal></Domain></CycloneDDS>"
-# Packages of ROS share folders, which `pip --target` cannot do.
-python = PLACE / "venv/bin/python"
-subprocess.run([sys.executable, "-m", "venv", PLACE / "venv"], check=True)
-subprocess.run([python, "-m", "pip", "install", "--quiet", "ros-jazzy-rclpy==7.1.6", "ros-jazzy-std-msgs==5.3.6",
-                "ros-jazzy-rmw-fastrtps-cpp==8.4.3", "cyclonedds==11.0.1"], check=True)
-os.environ.update(ROS_DOMAIN_ID="7", RMW_IMPLEMENTATION="rmw_fastrtps_cpp", ROS_LOG_DIR=str(PLACE))
+python = ros("ros-jazzy-rclpy==7.1.6", "ros-jazzy-std-msgs==5.3.6", "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
+             "cyclonedds==11.0.1")
 network()
 seen = {}
 for name, config in [("defaults", ""), ("GenerateKeyhash", KEY_HASH)]:

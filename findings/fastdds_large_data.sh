@@ -9,10 +9,9 @@ cd "$(dirname "$0")"
 python3 - <<'END'
 import os
 import subprocess
-import sys
 
 from cyclone_writer import cyclone_writer
-from place import PLACE, compare, network, run
+from place import compare, network, ros, run
 
 WRITERS = {
     "Fast DDS": """
@@ -38,12 +37,8 @@ while time.monotonic() < end and not texts:
 print(bool(texts), node.count_publishers("text"), flush=True)
 os._exit(0)
 """
-# Packages of ROS share folders, which `pip --target` cannot do.
-python = PLACE / "venv/bin/python"
-subprocess.run([sys.executable, "-m", "venv", PLACE / "venv"], check=True)
-subprocess.run([python, "-m", "pip", "install", "--quiet", "ros-jazzy-rclpy==7.1.6", "ros-jazzy-std-msgs==5.3.6",
-                "ros-jazzy-rmw-fastrtps-cpp==8.4.3", "cyclonedds==11.0.1"], check=True)
-os.environ.update(ROS_DOMAIN_ID="7", RMW_IMPLEMENTATION="rmw_fastrtps_cpp", ROS_LOG_DIR=str(PLACE))
+python = ros("ros-jazzy-rclpy==7.1.6", "ros-jazzy-std-msgs==5.3.6", "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
+             "cyclonedds==11.0.1")
 network()
 seen = {}
 for writer, transports in [("Fast DDS", "LARGE_DATA"), ("Fast DDS", "DEFAULT"), ("Cyclone DDS", "DEFAULT")]:
@@ -57,7 +52,7 @@ for writer, transports in [("Fast DDS", "LARGE_DATA"), ("Fast DDS", "DEFAULT"), 
     process.kill()
     process.wait()
 # Removes what killed programs have left in shared memory.
-subprocess.run([PLACE / "venv/bin/fastdds", "shm", "clean"], stdout=subprocess.DEVNULL, check=True)
+subprocess.run([python.with_name("fastdds"), "shm", "clean"], stdout=subprocess.DEVNULL, check=True)
 compare(seen, {
     "DEFAULT of Fast DDS with LARGE_DATA": "hears: False, publishers: 0",
     "LARGE_DATA of Fast DDS with LARGE_DATA": "hears: True, publishers: 1",

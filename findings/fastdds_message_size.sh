@@ -10,9 +10,8 @@ cd "$(dirname "$0")"
 python3 - <<'END'
 import os
 import subprocess
-import sys
 
-from place import PLACE, compare, network, run
+from place import PLACE, compare, network, ros, run
 
 WRITER = """
 import time
@@ -45,14 +44,9 @@ PROFILES = {
     "fastdds.max_message_size": """<propertiesPolicy><properties><property>
         <name>fastdds.max_message_size</name><value>1472</value></property></properties></propertiesPolicy>""",
 }
-# Packages of ROS share folders, which `pip --target` cannot do.
-python = PLACE / "venv/bin/python"
-subprocess.run([sys.executable, "-m", "venv", PLACE / "venv"], check=True)
-subprocess.run([python, "-m", "pip", "install", "--quiet", "ros-jazzy-rclpy==7.1.6", "ros-jazzy-std-msgs==5.3.6",
-                "ros-jazzy-rmw-fastrtps-cpp==8.4.3"], check=True)
+python = ros("ros-jazzy-rclpy==7.1.6", "ros-jazzy-std-msgs==5.3.6", "ros-jazzy-rmw-fastrtps-cpp==8.4.3")
 # As between two hosts: no shared memory.
-os.environ.update(ROS_DOMAIN_ID="7", RMW_IMPLEMENTATION="rmw_fastrtps_cpp", ROS_LOG_DIR=str(PLACE),
-                  FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
+os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
 network()
 run(python, "-c", WRITER)
 seen = {}

@@ -25,6 +25,15 @@ def pypi(*packages):
     return PLACE / "pypi"
 
 
+def ros(*packages):
+    """Installs packages of ROS on Fast DDS, and returns their Python. They share folders, which `pip --target` cannot do."""
+    python = PLACE / "venv/bin/python"
+    subprocess.run([sys.executable, "-m", "venv", PLACE / "venv"], check=True)
+    subprocess.run([python, "-m", "pip", "install", "--quiet", *packages], check=True)
+    os.environ.update(ROS_DOMAIN_ID="7", RMW_IMPLEMENTATION="rmw_fastrtps_cpp", ROS_LOG_DIR=str(PLACE))
+    return python
+
+
 def npm(*packages):
     """Installs packages such as `@mcap/core@2.2.2`. Returns the folder to run `node` in."""
     folder = PLACE / "npm"
