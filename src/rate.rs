@@ -38,7 +38,7 @@ impl Rate {
     /// No limit: as fast as the sensor answers. From a sensor of SCIP 2 each scan once. As text: `max`.
     pub const UNLIMITED: Self = Self(None);
 
-    /// Creates a rate of `hz` scans per second: more than 0, at most 1,000. One a day is the least.
+    /// Creates a rate of `hz` scans per second: above 0, at most 1,000. Less than one a day becomes one.
     ///
     /// # Panics
     ///
@@ -68,7 +68,7 @@ impl Rate {
         self.0
     }
 
-    /// Checks whether `hz` scans per second reach 95 % of this rate. Any reach [`Rate::UNLIMITED`].
+    /// Returns true if `hz` is at least 95 % of this rate, or this is [`Rate::UNLIMITED`].
     pub fn is_reached_by(self, hz: f64) -> bool {
         self.0.is_none_or(|period| hz * period.as_secs_f64() >= REACHED)
     }

@@ -19,7 +19,7 @@ pub(crate) struct RayOrder {
     latest: Option<(Instant, Instant)>,
     /// Sensor's clock of the latest scan, if it tells.
     clock: Option<u32>,
-    /// Nanoseconds by which scans outrun the motor. After a late reply it is a revolution at most.
+    /// Nanoseconds by which scans have come faster than the motor turns.
     ahead: u64,
 }
 

@@ -2,7 +2,7 @@
 
 use super::Text;
 
-/// Error for what makes no baud rate, no [`Rate`](crate::Rate), or no parameter of a command of SCIP 2.
+/// Error for an invalid baud rate, [`Rate`](crate::Rate), or parameter of a command of SCIP 2.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("invalid {parameter} {found:?}: expected {expected}")]
 pub struct ParameterError {

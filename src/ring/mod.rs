@@ -145,7 +145,7 @@ impl Inner {
         }
     }
 
-    /// Puts a reader into this slot, and returns the one before. Drops scans deeper than any.
+    /// Puts a reader into this slot and returns the former one. Drops scans that no reader reaches.
     fn replace(&mut self, slot: usize, reader: Reader) -> Option<Reader> {
         let before = self.readers.get_mut(slot).map(|slot| mem::replace(slot, reader));
         self.depth = self.readers.iter().map(|reader| reader.depth).fold(1, usize::max);

@@ -451,7 +451,7 @@ async fn evenly(seed: u64) {
     let count = 1 + random.below(3);
     let mut streams = Vec::new();
     for _ in 0..count {
-        // More than ten need no stream, but share that of the others.
+        // A schedule of more than ten has a stream only if another has one: then both share it.
         let most = if random.once_in(4) { 4000 } else { 1000 };
         let turns = (100 + random.below(most - 100)) as f64 / 100.0;
         let rate = Rate::hz(1e6 / (turns * told as f64));

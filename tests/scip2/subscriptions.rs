@@ -114,7 +114,7 @@ fn each_stream_has_its_scans_while_others_come_and_go() {
     }
 }
 
-/// One that is too slow for a stream of its own takes its scans from that of another.
+/// A rate below a tenth of the motor's needs no poll either: its scans come from the faster stream.
 #[tokio::test(start_paused = true)]
 async fn nothing_waits_for_the_next_scan_of_a_slow_stream() {
     for seed in seeds("SCIP_SUBSCRIPTIONS", 50) {

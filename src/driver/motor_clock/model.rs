@@ -1,5 +1,5 @@
 //! Sensors on USB, hosts and rates at random, against the motor that the clock cannot see: how far
-//! stamps that rest on the motor are off, and how soon there are some. They share no code with it.
+//! stamps that rest on the motor are off, and how soon there are some. None shares code with the clock.
 //!
 //! `SCIP_MOTORS=20 cargo test --release --lib motor_clock::model -- --nocapture` draws 320 sensors for
 //! each cell, prints each cell, and takes a minute or two; `SCIP_MOTORS_FIRST=1000001` draws others.

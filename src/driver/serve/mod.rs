@@ -161,7 +161,7 @@ impl Service<'_> {
         Ok(())
     }
 
-    /// Answers a request, after what came before it. Returns true.
+    /// Delivers the scans that came before a request, answers it, and returns true: there was work.
     async fn serve(&mut self, session: &mut Session, request: Request) -> Result<bool, Stop> {
         self.deliver_waiting(session)?;
         self.answer(session, request).await?;

@@ -1,5 +1,5 @@
 //! Identifies the sensor. No checksum protects a reply to `V`, and one of `VV` does not see every bit:
-//! one flipped bit must not reject a sensor, change its number, or its directions or times.
+//! one flipped bit must neither reject a sensor nor change its number, directions or times.
 
 use std::sync::Arc;
 

@@ -28,7 +28,7 @@ const SAME_LENGTH: usize = 8;
 /// first of these and this many times as early as before.
 const FIRST_STEP: Duration = Duration::from_millis(1);
 const STEP_GROWTH: u32 = 10;
-/// Lateness of a tokio timer on an idle runtime: of its whole milliseconds, one has begun.
+/// Lateness of a tokio timer on an idle runtime: it counts whole milliseconds, and one has begun.
 const TIMER_DELAY: Duration = Duration::from_millis(1);
 
 /// Decides when to pause, and for how long.

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 const SHORTEST: Duration = Duration::from_secs(20);
 /// Time between two in the long run.
 const USUAL: Duration = Duration::from_secs(60);
-/// Time by which they may be ahead of that: outages come in series.
+/// How far ahead of the usual pace a series of outages may get.
 const AHEAD: Duration = Duration::from_secs(9 * 60);
 
 #[derive(Debug, Default)]

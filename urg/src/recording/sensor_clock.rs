@@ -58,7 +58,7 @@ struct Drift {
 }
 
 impl SensorClock {
-    /// Adds a scan at this position on a steady clock. `period` is that of the scans, if all came.
+    /// Adds a scan at `position` on a steady clock. If none is lost, scans are a `period` apart.
     pub(super) fn add(&mut self, clock: Duration, position: Duration, period: Option<Duration>) {
         let (clock, position) = (clock.as_secs_f64(), position.as_secs_f64());
         if let (Some(previous), Some(period)) = (self.previous.replace(clock), period) {

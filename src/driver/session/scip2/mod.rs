@@ -125,7 +125,7 @@ impl Scip2<'_> {
     pub(super) async fn enter(&mut self) -> Result<(), ExchangeError> {
         let mut answer = self.enter_once().await;
         for _ in 1..ENTRIES {
-            // A flipped bit changes the status unseen. In SCIP 2 it refuses with two and their sum.
+            // A flipped bit changes the status unseen. A refusal in SCIP 2 has two characters and a sum.
             match &answer {
                 Ok(status) if matches!(status.as_bytes(), [b'0'] | [_, _, _]) => {
                     return self.stop().await;

@@ -26,8 +26,8 @@ pub(super) struct Sequence {
 }
 
 impl Sequence {
-    /// Adds a scan of a stream in which the sensor leaves out `skipped` scans after each. Returns how
-    /// many are lost before it, or `None` if it is a copy, or older than the latest.
+    /// Adds a scan. After each one, the sensor leaves out `skipped`. Returns the number of scans lost
+    /// since the one before, or `None` for a copy and for a scan older than the latest.
     pub(super) fn add(
         &mut self,
         stamp: Stamp,

@@ -95,7 +95,7 @@ impl Scip2<'_> {
         Ok(())
     }
 
-    /// Stops counting lost scans until the next stream: nobody wants those in between.
+    /// Counts no scan before the next stream as lost: nobody asked for it.
     pub(crate) fn allow_gap(&mut self) {
         self.state.sequence.allow_gap();
     }
@@ -294,7 +294,7 @@ impl State {
         self.clock.stats().map_or(self.geometry.revolution(), |motor| motor.revolution)
     }
 
-    /// Time between the scans of a stream in which the sensor leaves out `skipped` after each.
+    /// Time from one scan of a stream to the next, if the sensor leaves out `skipped` in between.
     fn period(&self, skipped: u8) -> Duration {
         self.revolution() * (u32::from(skipped) + 1)
     }
