@@ -1,6 +1,8 @@
 //! Hostile files: reading one takes no more memory than its own size.
 
-use std::io::Cursor;
+use std::fs::{self, File};
+use std::io::{self, Cursor};
+use std::path::Path;
 
 use urg_recording::{Recording, RecordingError, repair};
 
@@ -17,9 +19,10 @@ fn a_hostile_length_takes_no_memory() {
         ("a header's string of 4 GB", record(0x01, 4, &claims(u32::MAX)), 1),
         ("a header of 4 GB", record(0x01, G4 + 4, &claims(u32::MAX)), 1),
         ("a short attachment", record(0x09, 24, &[0; 24]), 1),
-        ("an attachment of 2^63", record(0x09, 1 << 63, &[0; 24]), 0),
-        ("a record of 2^63", record(0x05, 1 << 63, &[0; 24]), 1),
-        ("a private record of 2^63", record(0x80, 1 << 63, &[0; 24]), 0),
+        ("an attachment of 2^48", record(0x09, 1 << 48, &[0; 24]), 0),
+        ("an attachment that no disk can hold", record(0x09, (1 << 48) + 1, &[0; 24]), 1),
+        ("a record of 2^48", record(0x05, 1 << 48, &[0; 24]), 1),
+        ("a private record of 2^48", record(0x80, 1 << 48, &[0; 24]), 0),
         ("a private record that no file can have", record(0x80, u64::MAX, &[0; 24]), 1),
         ("a chunk of 4 GB", record(0x06, 40 + G4, &chunk(G4, G4)), 1),
         ("a chunk of 32 MB", record(0x06, 40 + (32 << 20), &chunk(32 << 20, 32 << 20)), 0),
@@ -109,6 +112,16 @@ fn a_chunk_without_records_costs_nothing() {
     }
 }
 
+/// A definition of a later version before the first message asks whether the file has chunks.
+#[cfg(feature = "compression")]
+#[test]
+fn an_empty_chunk_makes_no_file_with_chunks() {
+    let empty = of_kind(0x06, &[&[0; 28][..], &text("zstd"), &[0; 8]].concat());
+    let (channel, events) = (more(&channel(), &[1; 12]), event(0).repeat(4));
+    let parts = [&channel[..], &events, &[0; 25], &events, &empty, &events, &end()];
+    assert_eq!(repaired(&[MAGIC, &parts.concat()]).0, 12);
+}
+
 #[test]
 fn a_malformed_record_is_reported_and_left_out() {
     for (name, malformed) in [
@@ -148,6 +161,22 @@ fn a_message_without_a_channel_is_damage() {
     let second = chunk_of(&[event(3), event(0), event(3)].concat());
     let file = [&first[..], &second, &end()].concat();
     assert_eq!(read(&file), (vec![first.len() as u64], 2, false));
+}
+
+/// Damage that is not seen may have hit its channel, which the index repeats.
+#[test]
+fn the_index_defines_the_channel_of_the_first_message() {
+    let (lost, chunk) = (of_kind(0x7f, &[0; 99]), chunk_of(&event(0).repeat(3)));
+    let (data, channel) = ([MAGIC, &lost, &chunk, &of_kind(0x0f, &[0; 4])].concat(), channel());
+    let footer = of_kind(0x02, &[&(data.len() as u64).to_le_bytes()[..], &[0; 12]].concat());
+    let summary = [&channel, &footer[..footer.len() - 4]].concat();
+    let crc = crc32fast::hash(&summary).to_le_bytes();
+    let file = [&data[..], &summary, &crc, MAGIC].concat();
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("first_message.mcap");
+    fs::write(&path, file).unwrap();
+    let outcome = repair(File::open(&path).unwrap(), &mut io::sink()).unwrap();
+    let place = (MAGIC.len() + lost.len()) as u64;
+    assert_eq!((outcome.messages, outcome.damaged_at), (3, vec![place]));
 }
 
 #[test]
@@ -389,7 +418,7 @@ fn a_message_before_a_cut_off_one_is_found() {
 
 /// Returns the number of messages, and the places of damaged parts.
 fn repaired(file: &[&[u8]]) -> (u64, Vec<u64>) {
-    let outcome = repair(Cursor::new(file.concat()), &mut std::io::sink()).unwrap();
+    let outcome = repair(Cursor::new(file.concat()), &mut io::sink()).unwrap();
     (outcome.messages, outcome.damaged_at)
 }
 
@@ -429,6 +458,18 @@ fn a_message_before_a_cut_off_later_record_is_found() {
         let found = repaired(&[MAGIC, &channel(), &message, &later[..length]]);
         assert_eq!(found, (1, vec![]), "{length}");
     }
+}
+
+/// The last bytes of its data look like the end of the data and the head of an endless attachment.
+#[test]
+fn a_message_before_a_cut_off_message_is_found() {
+    let tail = [&[0x0f, 9][..], &[0; 16]].concat();
+    let message = of_kind(0x05, &[&[0; 22], &tail[..17]].concat());
+    let later = of_kind(0x10, b"/private/");
+    let parts = [channel(), message, later, event(0)].concat();
+    let missing = event(0).len() - 6;
+    let chunk = chunk_of(&parts);
+    assert_eq!(repaired(&[MAGIC, &chunk[..chunk.len() - missing]]), (1, vec![]));
 }
 
 #[test]
@@ -497,7 +538,7 @@ fn a_message_of_33_mib_is_found() {
     let event = event(0);
     let long = of_kind(0x05, &[&event[9..], &vec![0x80; 33 << 20]].concat());
     let file = [MAGIC, &channel(), &event, &[0; 1], &long, &long, &end()].concat();
-    let outcome = repair(Cursor::new(file), &mut std::io::sink()).unwrap();
+    let outcome = repair(Cursor::new(file), &mut io::sink()).unwrap();
     assert_eq!((outcome.messages, outcome.damaged_parts), (3, 1));
 }
 

@@ -18,8 +18,8 @@ const MAX_COMPRESSION_NAME: usize = 16;
 const MAX_CHUNK_HEAD: usize = CHUNK_HEAD + MAX_COMPRESSION_NAME;
 /// Most records of a chunk without its lengths, which mcap 0.26.0 (Rust) writes once the chunk is complete.
 const MAX_OPEN_BYTES: u64 = MAX_CHUNK_BYTES - MAX_CHUNK_HEAD as u64;
-/// Longest record that is not read.
-const MAX_SKIPPED_BYTES: u64 = u64::MAX - RECORD_HEAD as u64;
+/// Longest record that is not read: no disk holds more.
+const MAX_SKIPPED_BYTES: u64 = 1 << 48;
 /// Length of a message without data.
 const MESSAGE_BYTES: u64 = RECORD_HEAD as u64 + 22;
 /// Number of records that must follow one whose lengths do not show that it begins there. Data with
@@ -33,8 +33,8 @@ pub(super) struct Extent {
     /// End of the fields that this version of the format has.
     pub(super) fields: u64,
     pub(super) end: u64,
-    /// True if its fields count any bytes, and its name begins with a letter or sign. Zeros look like a
-    /// record that counts none, and small numbers like one with another name.
+    /// True if its fields count any bytes, those of a chunk its records, and its name begins with a letter
+    /// or sign. Zeros look like a record that counts none, and small numbers like one with another name.
     counts: bool,
     /// True for a chunk whose lengths agree: it begins here, even with more fields after its records.
     pub(super) is_chunk: bool,
@@ -139,6 +139,7 @@ pub(super) fn measure(bytes: &[u8], after: After) -> Result<Option<Extent>, usiz
         return Err(needed);
     }
     let chunk = chunk_head(bytes);
+    counts &= !is_chunk || chunk.as_ref().is_some_and(|chunk| chunk.size > 0);
     let has_name =
         chunk.as_ref().is_some_and(|chunk| Compression::named(&chunk.compression).is_some());
     let is_wrong = match kind {

@@ -109,9 +109,13 @@ impl Message {
         name(self) == name(other)
     }
 
-    /// Returns the command that a reply of a sensor answers, with its NUL.
+    /// Returns the command that a reply of a sensor answers, with its NUL. Damage may have changed its
+    /// type: then it is no reply.
     fn label(&self) -> Option<&[u8]> {
-        let data = Some(&self.data).filter(|_| self.topic.starts_with("/scip/replies cdr "))?;
+        let is_of_type =
+            self.topic.contains(" std_msgs/msg/UInt8MultiArray ") || self.has_lost_type();
+        let is_reply = is_of_type && self.topic.starts_with("/scip/replies cdr ");
+        let data = Some(&self.data).filter(|_| is_reply)?;
         let length = u32::from_le_bytes(data.get(8..12)?.try_into().ok()?) as usize;
         data.get(12..12 + length)
     }
@@ -443,18 +447,17 @@ impl Layout {
 
     /// Metadata that must survive.
     pub(super) fn metadata(&self, is_hit: impl Fn(&Range<usize>) -> bool) -> Vec<Metadata> {
-        let left = self.metadata.iter().filter(|(place, _)| !is_hit(place));
+        let left = self.metadata.iter().filter(|(place, metadata)| {
+            let pairs = metadata.metadata.iter().map(|(key, value)| 8 + key.len() + value.len());
+            let has_more = place.len() > 9 + 8 + metadata.name.len() + pairs.sum::<usize>();
+            !(is_hit(place) || has_more && self.is_between(place, &is_hit))
+        });
         left.map(|(_, metadata)| metadata.clone()).collect()
     }
 
-    /// Returns true for one or two records between two damaged ones, where no checksum proves them:
-    /// only other records after one show that it begins there.
-    fn is_between(&self, part: &Part, is_hit: impl Fn(&Range<usize>) -> bool) -> bool {
-        let Some(own) = part.places.last().filter(|own| {
-            self.unproved.iter().any(|place| place.start <= own.start && own.end <= place.end)
-        }) else {
-            return false;
-        };
+    /// Returns true for one or two records between two damaged ones: only other records after one show
+    /// that it begins there if its lengths do not.
+    fn is_between(&self, own: &Range<usize>, is_hit: impl Fn(&Range<usize>) -> bool) -> bool {
         let edge = |edges: &[usize], start: usize, by: isize| {
             let at = edges.partition_point(|edge| *edge < start) as isize + by;
             edges[at.clamp(0, edges.len() as isize - 1) as usize]
@@ -480,15 +483,19 @@ impl Layout {
         let (mut schemas, mut channels) = (Vec::new(), BTreeMap::new());
         let mut survivors = Vec::new();
         for part in &self.parts {
-            let is_lost = part.places.iter().any(&is_hit) || self.is_between(part, &is_hit);
+            let unproved = part.places.last().filter(|own| {
+                self.unproved.iter().any(|place| place.start <= own.start && own.end <= place.end)
+            });
+            let is_lost = part.places.iter().any(&is_hit)
+                || unproved.is_some_and(|own| self.is_between(own, &is_hit));
             match &part.content {
                 Content::Schema(schema) if !is_lost => schemas.push(*schema),
                 Content::Channel(channel, schema) if !is_lost => {
                     channels.insert(*channel, *schema);
                 }
-                // What it became may define the number again.
-                Content::Schema(schema) if is_loose => schemas.retain(|known| known != schema),
-                Content::Channel(channel, _) if is_loose => drop(channels.remove(channel)),
+                // What it became may define any number again.
+                Content::Schema(_) if is_loose => schemas.clear(),
+                Content::Channel(..) if is_loose => channels.clear(),
                 Content::Message(channel, message) if !is_lost => {
                     let schema = channels.get(channel);
                     let is_known = |schema: &u16| *schema == 0 || schemas.contains(schema);

@@ -85,10 +85,7 @@ impl Records {
                     let kinds = |at| if at == 0 { |_| true } else { is_known };
                     next_start(extent, known, |at| begins(at, kinds(at))).unwrap_or(known)
                 }
-                None => {
-                    let is_here = |at: &u64| begins(*at, is_known).unwrap_or_default();
-                    (1..known).find(is_here).unwrap_or(known)
-                }
+                None => (1..known).find(|at| begins(*at, is_known) == Ok(true)).unwrap_or(known),
             };
             let start = usize::try_from(next).unwrap_or(usize::MAX).saturating_add(rest.start);
             self.chunk.rest = start.min(rest.end)..rest.end;
@@ -98,7 +95,12 @@ impl Records {
                     if !is_well_formed(extent.kind, self.bytes(content.clone())) {
                         return Err(self.damaged("a record is malformed"));
                     }
-                    self.define(extent.kind, &content)?;
+                    let defined = self.define(extent.kind, &content);
+                    // The error makes the index known: then it is read again.
+                    if defined.is_err() && !self.has_index {
+                        self.chunk.rest.start = rest.start;
+                    }
+                    defined?;
                     return Ok(Some((extent.kind, content)));
                 }
                 Some(extent) if next == extent.end && self.chunk.is_cut => {}

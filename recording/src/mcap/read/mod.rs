@@ -136,10 +136,8 @@ impl Records {
                 }
                 Ok(None) => {
                     self.is_over = true;
-                    let unknown = self.unknown.take();
-                    if let Some(compression) = unknown
-                        && self.chunk_bytes.compressions.is_empty()
-                    {
+                    let is_unread = self.chunk_bytes.compressions.is_empty();
+                    if let Some(compression) = self.unknown.take().filter(|_| is_unread) {
                         return Err(RecordingError::Compressed { compression });
                     }
                 }
@@ -306,13 +304,11 @@ impl Records {
     fn kinds_to_find(&mut self) -> Result<Kinds, RecordingError> {
         let mut at = 1;
         while self.has_chunks.is_none() {
-            if self.window.is_shown(at, |kind| matches!(kind, kind::CHUNK | kind::MESSAGE_INDEX))? {
-                self.has_chunks = Some(true);
-            } else if at == MAX_CHUNK_BYTES || self.window.peek(at as usize + 1)?.len() as u64 <= at
-            {
-                self.has_chunks = Some(false);
-            }
+            let kinds = |kind| matches!(kind, kind::CHUNK | kind::MESSAGE_INDEX);
+            let is_shown = self.window.is_shown(at, kinds)?;
             at += 1;
+            let is_end = at > MAX_CHUNK_BYTES || (self.window.peek(at as usize)?.len() as u64) < at;
+            self.has_chunks = (is_shown || is_end).then_some(is_shown);
         }
         Ok(if self.has_chunks == Some(true) { outside_chunks } else { is_known })
     }
