@@ -408,13 +408,12 @@ impl Layout {
         let end = length.checked_add(start + 9)?;
         let shift = whole.len() as isize - damaged.len() as isize;
         let ends = [end, end.saturating_add_signed(shift)];
-        match head[0] {
-            _ if head == before => None,
-            // Only a whole record may end where the file does, unless the magic bytes are there.
-            0x05 | 0x10.. if end == damaged.len() && !damaged.ends_with(MAGIC) => Some(start..end),
-            0x05 | 0x10.. if ends.iter().any(|end| self.begins(whole, *end)) => Some(start..end),
-            _ => None,
-        }
+        // Only a whole record may end where the file does, unless the magic bytes are there.
+        let is_end = end == damaged.len() && !damaged.ends_with(MAGIC)
+            || ends.iter().any(|end| self.begins(whole, *end));
+        // Kinds of a summary, too, in the wrong place.
+        let shows_no_length = matches!(head[0], 0x05 | 0x08 | 0x0a | 0x0b | 0x0d | 0x0e | 0x10..);
+        (head != before && shows_no_length && is_end).then_some(start..end)
     }
 
     /// Returns true if a record begins here, also one of the summary of this file.

@@ -620,7 +620,13 @@ impl History {
             struck.push(at..end);
             hits.extend(layout.swallowed(&whole.bytes, &file.bytes, at));
             match kind {
-                0 | 5 => hits.push(at..end),
+                0 | 5 => {
+                    hits.push(at..end);
+                    let heads = layout.boundaries.iter().filter(|head| (at..end).contains(head));
+                    hits.extend(
+                        heads.filter_map(|head| layout.swallowed(&whole.bytes, &file.bytes, *head)),
+                    );
+                }
                 1 => hits.push(at..at + 1),
                 _ => {
                     hits.push(if kind == 2 { at..at } else { at..end });
