@@ -319,6 +319,15 @@ fn the_last_byte_of_a_later_index_begins_no_message() {
 }
 
 /// A simulated clock begins at 0, and its first messages may have zeros.
+/// With the head of the private record after it, it looks like one that ends where the second event does.
+#[test]
+fn the_last_byte_of_a_later_channel_begins_no_message() {
+    let channel = more(&channel(), &[[1; 11].as_slice(), &[5]].concat());
+    let private = of_kind(2 * event(0).len() as u8 + 1, &[]);
+    let file = [MAGIC, &channel, &private, &event(0).repeat(5), &end()].concat();
+    assert_eq!(read(&file), (vec![], 5, false));
+}
+
 #[test]
 fn a_message_of_zeros_is_no_chunk() {
     for length in 22..99 {

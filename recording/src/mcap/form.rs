@@ -298,8 +298,9 @@ pub(super) fn next_start<E>(
     mut begins: impl FnMut(u64) -> Result<bool, E>,
 ) -> Result<u64, E> {
     // More fields may be records, if they are long enough: then the length is wrong.
+    let shortest = if extent.counts { MESSAGE_BYTES } else { RECORD_HEAD as u64 };
     let more = match extent.end - extent.fields {
-        more if more < RECORD_HEAD as u64 => extent.end,
+        more if more < shortest => extent.end,
         // Its fields are records.
         _ if extent.is_chunk => extent.fields,
         _ => 1,
