@@ -540,6 +540,9 @@ fn records_of_a_chunk_without_its_head_are_left_out() {
         let file = [MAGIC, &damaged, next, &end()].concat();
         assert_eq!(read(&file), (vec![8], events, false));
     }
+    let left = [&[0xe9][..], &event(0).repeat(3)].concat();
+    let file = [MAGIC, &chunk, &left, &chunk, &end()].concat();
+    assert_eq!(read(&file), (vec![(MAGIC.len() + chunk.len()) as u64], 2, false));
 }
 
 #[test]

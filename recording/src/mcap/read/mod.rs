@@ -288,7 +288,7 @@ impl Records {
         next_start(extent, known, |at| {
             let kinds = match at {
                 _ if at == 0 || at == extent.end => |_| true,
-                _ if at == 1 || at == extent.fields => is_known,
+                _ if at == 1 && self.has_chunks != Some(true) || at == extent.fields => is_known,
                 _ => self.kinds_to_find()?,
             };
             // The last bytes of a message may look like an end of the data with more fields.
