@@ -213,7 +213,9 @@ fn any_window(random: &mut Random, form: Form, scanner: Scanner) -> Window {
         // These may be steps of a sensor of 1,440 as well.
         let is_coarse =
             form == Form::UrgNode && scanner.resolution == 2880 && cluster.is_multiple_of(2);
-        if end <= scanner.last() && !is_both && !is_coarse {
+        // 45 steps of 1,440 or 2,880 are whole steps of a sensor of 1,024, too.
+        let is_common = scanner.resolution != 1024 && cluster.is_multiple_of(45);
+        if end <= scanner.last() && !is_both && !is_coarse && !is_common {
             return window(start, end, cluster as u8);
         }
     }
