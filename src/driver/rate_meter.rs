@@ -17,7 +17,8 @@ const SPANS_BETWEEN_REPORTS: u32 = 20;
 #[derive(Debug)]
 pub(crate) struct RateMeter {
     since: Instant,
-    scans: u32,
+    /// Number of scans after the one that began the span, or `None` before that one.
+    scans: Option<u32>,
     failures: u32,
     /// Shortest time between the request of a scan and its arrival.
     quickest: Duration,
@@ -32,7 +33,7 @@ impl RateMeter {
     pub(crate) fn new(now: Instant) -> Self {
         Self {
             since: now,
-            scans: 0,
+            scans: None,
             failures: 0,
             quickest: Duration::MAX,
             revolution: Duration::ZERO,
@@ -40,9 +41,10 @@ impl RateMeter {
         }
     }
 
-    /// Counts a scan that came after `latency`, of a motor that takes `revolution` for one.
-    pub(crate) fn count_scan(&mut self, latency: Duration, revolution: Duration) {
-        self.scans += 1;
+    /// Counts a scan that came at `now` after `latency`, of a motor that takes `revolution` for one.
+    pub(crate) fn count_scan(&mut self, now: Instant, latency: Duration, revolution: Duration) {
+        self.since = self.scans.map_or(now, |_| self.since);
+        self.scans = Some(self.scans.map_or(0, |scans| scans + 1));
         self.quickest = self.quickest.min(latency);
         self.revolution = revolution;
     }
@@ -62,7 +64,7 @@ impl RateMeter {
         if span < RATE_SPAN {
             return false;
         }
-        let reached = f64::from(self.scans) / span.as_secs_f64();
+        let reached = f64::from(self.scans.unwrap_or(0)) / span.as_secs_f64();
         (stats.baud_rate, stats.revolution) = (baud_rate, self.revolution.as_secs_f32());
         stats.shortfall = match self.failures {
             _ if stats.rate.is_reached_by(reached) => None,
@@ -70,7 +72,8 @@ impl RateMeter {
             _ => Some(Shortfall::Loss),
         };
         (stats.reached, stats.failed) = (Some(reached), self.failures);
-        self.restart(now);
+        (self.since, self.scans, self.failures) = (now, self.scans.map(|_| 0), 0);
+        self.quickest = Duration::MAX;
         true
     }
 
@@ -78,8 +81,7 @@ impl RateMeter {
     /// without it, or if it takes longer than the sensor.
     fn slowness(&self, stats: &ScheduleStats) -> Option<Shortfall> {
         let window = &stats.window;
-        let wire_time =
-            stats.baud_rate.map(|baud_rate| window.wire_time(baud_rate, stats.protocol));
+        let wire_time = stats.baud_rate.map(|rate| window.wire_time(rate, stats.protocol));
         let wire_time = wire_time.unwrap_or_default();
         let line_can = stats.baud_rate.is_none_or(|baud_rate| stats.carries(window, baud_rate));
         let can_reach = |each: Duration| stats.rate.is_reached_by(1.0 / each.as_secs_f64());
@@ -106,9 +108,9 @@ impl RateMeter {
         is_news
     }
 
-    /// Starts a new span.
+    /// Starts anew with the next scan.
     pub(crate) fn restart(&mut self, now: Instant) {
-        (self.since, self.scans, self.failures) = (now, 0, 0);
+        (self.since, self.scans, self.failures) = (now, None, 0);
         self.quickest = Duration::MAX;
     }
 }
@@ -140,7 +142,7 @@ mod tests {
         ] {
             let (mut meter, mut stats) =
                 (RateMeter::new(Instant::now()), ScheduleStats::new(window, Rate::hz(rate)));
-            (0..scans).for_each(|_| meter.count_scan(took, revolution));
+            (0..=scans).for_each(|_| meter.count_scan(meter.since, took, revolution));
             (0..failures).for_each(|_| meter.count_failure());
             let end = meter.since + RATE_SPAN;
             assert!(!meter.finish_span(end - Duration::from_millis(1), usb, &mut stats));

@@ -197,7 +197,7 @@ impl Schedules {
         schedule.condition = None;
         let received_at = scan.received_at();
         let latency = received_at.saturating_duration_since(scan.meta.requested_at);
-        schedule.speed.count_scan(latency, scan.scan_time());
+        schedule.speed.count_scan(received_at, latency, scan.scan_time());
         schedule.stats.protocol = scan.geometry().protocol();
         let (repeats, missed) = schedule.ring.push(scan);
         let newly_missed = missed - std::mem::replace(&mut schedule.missed, missed);

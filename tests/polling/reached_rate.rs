@@ -176,3 +176,18 @@ async fn what_a_line_needs_for_a_rate_suffices() {
     }
     assert!(explained.iter().all(|count| *count > 5), "{explained:?}");
 }
+
+/// The first scan comes at the beginning of the first span.
+#[tokio::test(start_paused = true)]
+async fn a_slow_stream_is_not_counted_as_faster_than_it_is() {
+    for period in [1.0, 3.5, 8.0, 30.0] {
+        let sensor = builder().connect(truthful().build()).await.unwrap();
+        let mut stream = sensor.scans(Window::DETECTION, Rate::hz(1.0 / period)).await.unwrap();
+        for scans in 1..8 {
+            stream.next().await.unwrap().unwrap();
+            sleep(Duration::from_millis(10)).await;
+            let hz = reached(&sensor).unwrap_or(1.0 / period);
+            assert!((hz * period - 1.0).abs() < 0.1, "{scans} scans, each {period} s: {hz}");
+        }
+    }
+}
