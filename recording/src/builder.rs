@@ -77,10 +77,9 @@ impl RecorderBuilder {
     /// 65,000 chunks, 18 hours or more. This bounds the index of a file, which stays in memory until
     /// its end and takes 100 bytes for each chunk.
     ///
-    /// If a file may not grow (EFBIG), by its file system or a limit of the process, the recording
-    /// continues in the next one, and [`has_outgrown_file`](super::Progress::has_outgrown_file) is set.
-    /// The first such file may have no room for an index; later ones end in time. Ignore the signal
-    /// SIGXFSZ, which a limit of the process sends.
+    /// If a file may not grow (EFBIG), by its file system or a limit of the process, the recording continues in the
+    /// next one, and [`has_outgrown_file`](super::Progress::has_outgrown_file) is set. The first such file may have
+    /// no room for an index; later ones end in time. Ignore the signal SIGXFSZ, which a limit of the process sends.
     ///
     /// [`write_to`](Self::write_to) never splits.
     pub fn split_duration(mut self, duration: Duration) -> Self {
@@ -170,8 +169,7 @@ impl RecorderBuilder {
         self.record_into(file)
     }
 
-    /// Opens the file that [`create`](Self::create) would record into, for
-    /// [`record_into`](Self::record_into).
+    /// Opens the file that [`create`](Self::create) would record into, for [`record_into`](Self::record_into).
     ///
     /// # Errors
     ///
@@ -205,8 +203,7 @@ impl RecorderBuilder {
     ///
     /// # Errors
     ///
-    /// Fails with [`RecordingError::Write`] if the file's head cannot be written, or no
-    /// thread can be started.
+    /// Fails with [`RecordingError::Write`] if the file's head cannot be written, or no thread can be started.
     pub fn write_to(self, out: impl Write + Send + 'static) -> Result<Recorder, RecordingError> {
         self.check()?;
         Queue::into_writer(Box::new(out), None, None, self.settings).map(Recorder::new)

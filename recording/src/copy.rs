@@ -57,15 +57,13 @@ impl Copied {
 /// files of a split recording as `inputs`, in any order: messages are copied in the order of their
 /// log times, and those of one file in the order of the file.
 ///
-/// Messages of all topics keep their bytes, times and numbers, whoever wrote them. Channels and
-/// schemas are numbered anew, and kept even without a message. Metadata are copied, attachments and
-/// non-standard records are not.
+/// Messages of all topics keep their bytes, times and numbers, whoever wrote them. Channels and schemas are numbered
+/// anew, and kept even without a message. Metadata are copied, attachments and non-standard records are not.
 ///
-/// Three things are copied even if they lie before the part: the metadata and the sensor's version, so
-/// that you can replay the copy; and the last message of each topic that ROS 2 latches (durability
-/// `transient_local` in the channel's `offered_qos_profiles`), such as a map. Of transforms, it is the
-/// last one of each child frame, because `/tf_static` has several publishers. The messages get the log
-/// time of the part's first message.
+/// Three things are copied even if they lie before the part: the metadata and the sensor's version, so that you can
+/// replay the copy; and the last message of each topic that ROS 2 latches (durability `transient_local` in the
+/// channel's `offered_qos_profiles`), such as a map. Of transforms, it is the last one of each child frame, because
+/// `/tf_static` has several publishers. The messages get the log time of the part's first message.
 ///
 /// Only a checksum proves a message: a damaged one outside of chunks, or in a chunk without a checksum,
 /// may be copied with its changes. A record whose kind was damaged may look like one of a later version
@@ -74,10 +72,9 @@ impl Copied {
 /// Joined recordings of two sensors of SCIP 2 that ran at once, with the same window of steps, read as one
 /// sensor: of the later description. Keep these apart.
 ///
-/// Leaves out damaged parts, and builds a new index. If `compression` is `None`, the copy keeps the
-/// compression of the inputs (the strongest that this build [writes](Compression::is_written)). It has at most
-/// eight times the bytes of the inputs without compression, plus 8 KiB: a hostile file makes the most of
-/// small records.
+/// Leaves out damaged parts, and builds a new index. If `compression` is `None`, the copy keeps the compression of
+/// the inputs (the strongest that this build [writes](Compression::is_written)). It has at most eight times the
+/// bytes of the inputs without compression, plus 8 KiB: a hostile file makes the most of small records.
 ///
 /// Blocks the thread, and reads all inputs to their end. Needs memory for the longest chunk of each
 /// input, once more if the copy is compressed, 64 MiB for the index of the copy, up to 64 MiB of latched

@@ -72,8 +72,7 @@ impl From<&Error> for Event {
 /// Largest number of streams to tell apart.
 const MAX_STREAMS: usize = 16;
 
-/// Derives the events of streams from their items. Tells streams apart by the windows and numbers
-/// of their scans.
+/// Derives the events of streams from their items. Tells streams apart by the windows and numbers of their scans.
 #[derive(Debug, Clone, Default)]
 pub struct Events {
     /// Window of each stream, and the number of its next scan if none is missed.

@@ -71,8 +71,7 @@ impl RecordingFile {
         &self.path
     }
 
-    /// Path of the recording's first file, or `None` for a pipe or a device, which no further files
-    /// can follow.
+    /// Path of the recording's first file, or `None` for a pipe or a device, which no further files can follow.
     pub(super) fn first(&self) -> Option<&Path> {
         Some(&*self.first).filter(|_| self.is_regular)
     }

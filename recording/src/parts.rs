@@ -15,8 +15,7 @@ use super::{RecordingError, lock};
 /// With this many index entries, a file is split at the next opportunity. Less than the maximum,
 /// because the file grows until then.
 const MAX_PART_ENTRIES: usize = 65_000;
-/// Longest file without another limit: FAT, on most USB sticks, has room for 4 GiB and the index needs
-/// some of it.
+/// Longest file without another limit: FAT, on most USB sticks, has room for 4 GiB and the index needs some of it.
 const MAX_PART_BYTES: u64 = 4_000_000_000;
 /// A larger number is not one of ours. There is room for further ones after it.
 const MAX_PART_NUMBER: u32 = 999_999_999;

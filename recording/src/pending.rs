@@ -50,8 +50,7 @@ impl PendingReplies {
         }
     }
 
-    /// Ends the recording: passes on the replies that still wait, except for scans, which no consumer
-    /// has taken.
+    /// Ends the recording: passes on the replies that still wait, except for scans, which no consumer has taken.
     pub(super) fn end(&mut self, mut write: impl FnMut(WriteItem)) {
         while let Some(reply) = self.pop() {
             if self.latest.is_none() || !has_scan(&reply, |_| true) {

@@ -134,6 +134,7 @@ pub(super) struct StreamPolls {
     /// Sensor of the replies in SCIP 2, by the latest description or reply to `PP`.
     told: Option<Model>,
     pub(super) frame_ids: BTreeSet<String>,
+    pub(super) is_disconnected: bool,
     left_out: LeftOutCounter,
     /// Stamps of the latest replies to polls, and what they are of.
     stamps: VecDeque<(SystemTime, Stream)>,
@@ -227,13 +228,14 @@ impl StreamPolls {
                     }
                 }
             }
+            Entry::Event(Event::Disconnected { .. }) => return self.is_disconnected = true,
+            Entry::Event(Event::Reconnected) => return self.is_disconnected = false,
             Entry::Event(_) => return,
         };
         self.waiting.push_back(poll);
     }
 
-    /// Returns the next poll, once the window of the stream is known, or `is_end` is true because no
-    /// record follows.
+    /// Returns the next poll, once the window of the stream is known, or `is_end` is true because no record follows.
     pub(super) fn next(&mut self, is_end: bool) -> Option<PollReply> {
         if self.streams.is_empty() {
             let is_enough = self.waiting.len() >= WINDOW_SEARCH_POLLS

@@ -26,8 +26,7 @@ use super::{RecordingError, lock};
 /// Largest number of bytes that wait for a slow disk. At 10 scans per second, this takes
 /// about three minutes. Of a UST it takes 20 s.
 const HIGH_WATER_BYTES: usize = 8 << 20;
-/// Largest number of bytes held before a trigger: the rest of the queue is for what comes while they
-/// are written.
+/// Largest number of bytes held before a trigger: the rest of the queue is for what comes while they are written.
 const HELD_BYTES: usize = HIGH_WATER_BYTES / 2;
 /// [`Queue::ready`] waits until at most this many bytes wait.
 const LOW_WATER_BYTES: usize = 1 << 20;
@@ -106,8 +105,7 @@ impl Queue {
         Ok(queue)
     }
 
-    /// Takes the next item. If too many bytes wait already, or the thread has ended, the item is lost
-    /// and counted.
+    /// Takes the next item. If too many bytes wait already, or the thread has ended, the item is lost and counted.
     pub(super) fn push(&self, item: WriteItem) {
         // Locked until the item is queued, so that no later one overtakes it.
         lock(&self.pending).take(item, Instant::now().into_std(), |item| self.hold(item));

@@ -57,6 +57,8 @@ pub struct Recording {
     /// Items read in advance.
     ahead: VecDeque<Result<Item, RecordingError>>,
     pub(super) range: TimeRange,
+    /// Latest log time of a message that was read, on any topic.
+    pub(super) latest: SystemTime,
     /// Log times of the part, once they are known.
     times: Option<RangeInclusive<u64>>,
     /// Topic to read instead of `/scan`.
@@ -104,6 +106,7 @@ impl Recording {
             read_bytes: 0,
             ahead: VecDeque::new(),
             range: TimeRange::new(&..),
+            latest: SystemTime::UNIX_EPOCH,
             times: None,
             topic: None,
             other_topics: BTreeSet::new(),
@@ -135,11 +138,10 @@ impl Recording {
     /// Restricts the recording to a part: the records whose time since the first scan is
     /// in `range`, and the first reply to `V`, which begins a replay.
     ///
-    /// If you [`open`](Self::open) a complete file, only the chunks of the part are read, and the
-    /// first ones, up to the metadata, a reply to `V` and a scan. To do so it reads the file's
-    /// index, which takes at most 16 MiB of memory, is proved by a checksum, and must repeat the
-    /// definitions of all topics. Any other file is read from its beginning to its end, because messages
-    /// may be in any order.
+    /// If you [`open`](Self::open) a complete file, only the chunks of the part are read, and the first ones, up to
+    /// the metadata, a reply to `V` and a scan. To do so it reads the file's index, which takes at most 16 MiB of
+    /// memory, is proved by a checksum, and must repeat the definitions of all topics. Any other file is read from
+    /// its beginning to its end, because messages may be in any order.
     #[must_use]
     pub fn range(mut self, range: impl RangeBounds<Duration>) -> Self {
         self.range = TimeRange::new(&range);
@@ -234,6 +236,7 @@ impl Recording {
 
     fn count_unread(&mut self, unread: Unread) {
         let Unread { at, topic, name, reason, details } = unread;
+        self.latest = self.latest.max(at);
         if topic == self.topic {
             if self.range.contains(at) {
                 let separator = if details.is_empty() { "" } else { ", " };
@@ -292,6 +295,7 @@ impl Recording {
                 }
                 _ => return Some(item),
             };
+            self.latest = self.latest.max(record.at);
             if record.topic != self.topic {
                 // The replies and events of a recording are no scans.
                 if matches!(record.entry, Entry::Scan(_)) {

@@ -17,9 +17,8 @@ use tokio_scip::{Scan, Version};
 impl Recording {
     /// Reads the scans of the recorded stream, as the driver delivered them.
     ///
-    /// They are decoded from the sensor's replies. So you also get scans that the
-    /// recording's own consumer missed, and the same ones as in a replay. Refused and
-    /// malformed replies are left out; find them in the events.
+    /// They are decoded from the sensor's replies. So you also get scans that the recording's own consumer missed,
+    /// and the same ones as in a replay. Refused and malformed replies are left out; find them in the events.
     ///
     /// Each has the geometry of its sensor: a URG-04LX in SCIP 1.1, otherwise what its reply to `PP`
     /// or the metadata tell, whichever was recorded last.
@@ -101,6 +100,16 @@ impl RecordedScans {
     /// Time from the file's first scan to the latest one, as [`Recording::range`] takes it.
     pub fn position(&self) -> Duration {
         self.polls.recording.range.since_first_scan(self.log_time)
+    }
+
+    /// Time from the file's first scan to the latest message, also of another topic.
+    pub fn end(&self) -> Duration {
+        self.polls.recording.range.since_first_scan(self.polls.recording.latest)
+    }
+
+    /// Returns true if the link to the sensor was lost and did not return, by the events read so far.
+    pub fn is_disconnected(&self) -> bool {
+        self.polls.stream.is_disconnected
     }
 
     /// Version of the recorded sensor: its first reply to `V` among the records read so far, or else what the

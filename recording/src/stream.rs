@@ -15,8 +15,7 @@ impl Model {
         self.0.as_deref().map_or(Geometry::URG_04LX, Parameters::geometry)
     }
 
-    /// Returns true if both speak one protocol and have the same directions. A message tells no more of
-    /// its sensor.
+    /// Returns true if both speak one protocol and have the same directions. A message tells no more of its sensor.
     pub(super) fn is_like(&self, other: &Self) -> bool {
         let key = |model: &Self| {
             let geometry = model.geometry();

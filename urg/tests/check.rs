@@ -4,8 +4,9 @@ use std::io::Cursor;
 use std::time::Duration;
 
 use serde_json::Value;
-use tokio_scip::{Rate, Window};
+use tokio_scip::{Rate, Sensor, Window};
 use urg_emulator::{Emulator, Fault, Faults, Model};
+use urg_recording::Recorder;
 
 use super::program::{Emulated, Running, Scratch, failure, run};
 use super::recorded::{recording, recording_of};
@@ -164,6 +165,35 @@ async fn scans_that_never_came_are_told_of_a_recording() {
     let losses = "losses   1 poll without a scan, 2 scans lost on the way\n";
     assert!(check.contains(losses), "{check}");
     assert!(check.ends_with("\nit works; weak: left out, losses\n"), "{check}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_link_that_did_not_return_is_weak_in_a_recording() {
+    for is_back in [false, true] {
+        let file = Scratch::mcap("check-unplugged");
+        let emulator = Emulator::builder().usb().build();
+        let mut recorder = Recorder::create(file.path()).unwrap();
+        let builder = Sensor::builder().on_reply(recorder.observer());
+        let sensor = builder.connect(emulator.clone()).await.unwrap();
+        let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+        recorder.describe(&sensor, &scans).await.unwrap();
+        for number in 0..20 + if is_back { 2 } else { 1 } {
+            match number {
+                20 => emulator.unplug(),
+                21 => emulator.plug_in(),
+                _ => {}
+            }
+            let item = scans.next().await.unwrap();
+            assert_eq!(item.is_err(), number == 20, "{item:?}");
+            recorder.record(&item).unwrap();
+        }
+        recorder.finish().await.unwrap();
+        take_stamps_from_log_times(file.path());
+        let check = run(&format!("check {}", file.path()), 0).stdout;
+        let row = "weak    link     lost at 0:01, and not back\n";
+        assert_eq!(check.contains(row), !is_back, "{check}");
+        assert_eq!(check.contains("weak: link\n"), !is_back, "{check}");
+    }
 }
 
 #[tokio::test(start_paused = true)]

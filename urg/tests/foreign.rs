@@ -271,6 +271,22 @@ fn times_that_do_not_advance_are_weak() {
 }
 
 #[test]
+fn scans_that_end_before_the_bag_are_weak() {
+    let file = Scratch::mcap("ends-early");
+    // The last two topics cannot be read.
+    for other in ["/rear/scan", "/echoes", "/viewed"] {
+        let ends_early = (0..20).map(|tenth| scan(windows()[0], tenth));
+        let others = (0..50).map(|tenth| Message { topic: other, ..scan(windows()[0], tenth) });
+        let mut messages: Vec<_> = ends_early.chain(others).collect();
+        messages.sort_by_key(|message| message.log_time);
+        write(&file, messages);
+        let check = run(&format!("check {}", file.path()), 0).stdout;
+        assert!(check.contains("weak    gaps     3.0 s at 0:01\n"), "{other}: {check}");
+        assert!(check.ends_with("\nit works; weak: gaps\n"), "{other}: {check}");
+    }
+}
+
+#[test]
 fn scans_of_several_sensors_are_weak() {
     let file = Scratch::mcap("frames");
     let frame = |number: u64| ["front", "rear"][number as usize % 2];

@@ -21,11 +21,10 @@ const DEFAULT_DURATION: Duration = Duration::from_secs(5);
 
 /// Test a sensor, with a verdict for each step
 ///
-/// Finds the sensor, asks for its identity, switches its laser off and on, and streams scans for
-/// some seconds. The laser is on afterwards. A step is ok, weak (it works, but not as well as it
-/// should) or FAILED. The exit code is 0 unless a step has failed. A recording is tested for gaps,
-/// damage, messages that are left out, changes of the clock, jumps of the sensor's clock, times
-/// that do not advance, and scans of several sensors.
+/// Finds the sensor, asks for its identity, switches its laser off and on, and streams scans for some seconds. The
+/// laser is on afterwards. A step is ok, weak (it works, but not as well as it should) or FAILED. The exit code is 0
+/// unless a step has failed. A recording is tested for gaps, a lost link, damage, messages that are left out, changes
+/// of the clock, jumps of the sensor's clock, times that do not advance, and scans of several sensors.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

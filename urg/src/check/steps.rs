@@ -72,7 +72,7 @@ pub(crate) fn recording(contents: Contents, topic: &str) -> Vec<Finding> {
             "scans" if value == 0 => Verdict::Failed,
             "complete" if value != true => Verdict::Failed,
             "gaps" | "clock" if !is_empty => Verdict::Weak,
-            "times" | "sources" => Verdict::Weak,
+            "times" | "sources" | "link" => Verdict::Weak,
             "left_out" if has_lost => Verdict::Weak,
             "losses" if value.as_u64() > Some(0) => Verdict::Weak,
             "sensor_clock" if value.get("jumps") != Some(&0.into()) => Verdict::Weak,

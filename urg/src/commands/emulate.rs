@@ -19,9 +19,8 @@ use crate::recording::rewrite::perhaps_without_folder;
 
 /// Emulate a sensor for other programs, until Ctrl-C
 ///
-/// The sensor measures a room where people walk. By default it is a URG-04LX on USB,
-/// on a pseudo-terminal that you open like a serial port. Other models speak SCIP 2. With the same
-/// seed it sends the same scans at the same times.
+/// The sensor measures a room where people walk. By default it is a URG-04LX on USB, on a pseudo-terminal that you
+/// open like a serial port. Other models speak SCIP 2. With the same seed it sends the same scans at the same times.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -65,13 +64,11 @@ pub(crate) struct Emulate {
     /// Seed of the room and of faults
     #[arg(long, value_name = "NUMBER", default_value_t = 0)]
     seed: u64,
-    /// Faults to inject, each with its probability, such as
-    /// late=0.01:3s,lost=0.005,damaged=0.01,hang-up=0.001
+    /// Faults to inject, each with its probability, such as late=0.01:3s,lost=0.005,damaged=0.01,hang-up=0.001
     ///
-    /// The names are late and pause (with a maximum time), lost, command-lost,
-    /// damaged, doubled, merged, noise (with a maximum length in bytes, such as
-    /// noise=0.01:64), reset, hang-up, and seed=NUMBER; in SCIP 2 also wrong-sum, ignored (an
-    /// answer without effect) and clock-jump (with a maximum time).
+    /// The names are late and pause (with a maximum time), lost, command-lost, damaged, doubled, merged, noise (with
+    /// a maximum length in bytes, such as noise=0.01:64), reset, hang-up, and seed=NUMBER; in SCIP 2 also wrong-sum,
+    /// ignored (an answer without effect) and clock-jump (with a maximum time).
     #[arg(long, value_name = "SPEC")]
     faults: Option<Faults>,
 }

@@ -64,9 +64,8 @@ pub(crate) struct Publish {
     engine: EngineName,
     #[command(flatten)]
     names: NameArgs,
-    /// Pose of the sensor in the frame PARENT, in metres and degrees, for /tf_static;
-    /// `PARENT,X,Y,Z,YAW,upside-down` if it is, and `YAW,PITCH,ROLL` if it is tilted; for
-    /// several sensors, repeat the option in the same order
+    /// Pose of the sensor in the frame PARENT, in metres and degrees, for /tf_static; `PARENT,X,Y,Z,YAW,upside-down`
+    /// if it is, and `YAW,PITCH,ROLL` if it is tilted; for several sensors, repeat the option in the same order
     #[arg(long, value_name = "PARENT,X,Y,Z,YAW", value_parser = mounting, help_heading = "ROS")]
     tf: Vec<Transform>,
     /// ROS domain, 0 to 232 [default: ROS_DOMAIN_ID, else 0]
@@ -97,8 +96,7 @@ pub(crate) struct Publish {
     /// Address to serve Foxglove and Lichtblick on [default: 127.0.0.1:8765]
     #[arg(long, value_name = "IP:PORT", value_parser = listen, help_heading = "Network")]
     listen: Option<SocketAddr>,
-    /// Scans a second, or `max` for as fast as the sensor answers [default: 10; a
-    /// recording: its own pace]
+    /// Scans a second, or `max` for as fast as the sensor answers [default: 10; a recording: its own pace]
     #[arg(long, value_name = "HZ")]
     rate: Option<Rate>,
     /// Publish each scan of the sensor (0), each second one (1) and so on, instead of --rate

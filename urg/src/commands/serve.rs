@@ -23,9 +23,8 @@ const BACKLOG: u32 = 1024;
 
 /// Show a live page to any browser, and scans to programs
 ///
-/// Runs until Ctrl-C. Unplug a sensor and plug it back in: scanning resumes. All
-/// viewers share one poll per period, so more viewers do not slow down the sensor. For
-/// a recording, the page has pause, step, seek, speed and loop.
+/// Runs until Ctrl-C. Unplug a sensor and plug it back in: scanning resumes. All viewers share one poll per period,
+/// so more viewers do not slow down the sensor. For a recording, the page has pause, step, seek, speed and loop.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "`--help` explains the addresses", after_long_help = HELP)]
 pub(crate) struct Serve {

@@ -64,8 +64,7 @@ impl Deck {
         self.times.partition_point(|time| *time <= position).saturating_sub(1)
     }
 
-    /// Position where a loop starts over. The last scan stays as long as the scan before
-    /// it, but at least 0.1 s.
+    /// Position where a loop starts over. The last scan stays as long as the scan before it, but at least 0.1 s.
     fn end_of_loop(&self) -> Duration {
         let last = self.length().saturating_sub(self.time(self.last().saturating_sub(1)));
         self.length() + last.max(Duration::from_millis(100))

@@ -1,7 +1,6 @@
 //! Playback of a recording for human viewers: pause, step, seek, speed and loop.
 //!
-//! Commands that need every scan, such as `stream` and `record`, replay the sensor instead
-//! (`recording::recorded`).
+//! Commands that need every scan, such as `stream` and `record`, replay the sensor instead (`recording::recorded`).
 
 mod command;
 mod deck;

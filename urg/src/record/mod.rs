@@ -1,6 +1,5 @@
-//! `urg record`: records scans, and the replies of the sensor, into a file. `limits` parses its
-//! options, `trigger` waits for the trigger of `--before`, `writing` writes the file, and `totals`
-//! formats its progress.
+//! `urg record`: records scans, and the replies of the sensor, into a file. `limits` parses its options, `trigger`
+//! waits for the trigger of `--before`, `writing` writes the file, and `totals` formats its progress.
 
 mod limits;
 mod totals;
@@ -33,11 +32,10 @@ use crate::stream::reporter::Reporter;
 
 /// Record scans, and the replies of the sensor, into a file
 ///
-/// Runs until Ctrl-C, --count or --duration. Unplug the sensor and plug it back in:
-/// recording resumes. If the program is killed or the disk fills up, you lose at most
-/// one second; if the power fails, two. The file is MCAP as ROS 2 writes it: open it
-/// with `ros2 bag play`, Foxglove, PlotJuggler and others, or use it as PORT of any
-/// other command. A recording without a single scan is an error. Pass
+/// Runs until Ctrl-C, --count or --duration. Unplug the sensor and plug it back in: recording resumes. If the
+/// program is killed or the disk fills up, you lose at most one second; if the power fails, two. The file is MCAP as
+/// ROS 2 writes it: open it with `ros2 bag play`, Foxglove, PlotJuggler and others, or use it as PORT of any other
+/// command. A recording without a single scan is an error. Pass
 /// - as FILE to write to standard output, once a second.
 #[derive(Debug, clap::Args)]
 #[command(

@@ -79,6 +79,7 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
             Err(error) => return Err(error),
         }
     }
+    times.add_gap(recorded.end());
     let left_out = recorded.recording().left_out().counts();
     let ScanTimes { scans, gaps, clock_steps, .. } = &mut times;
     if stamps.stands() || log_times.stands() {
@@ -114,6 +115,10 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
     rows.push(compression_row(&recorded.recording().chunk_bytes()));
     rows.extend(sensor_clock.describe().map(|(data, text)| ("sensor_clock", data, text)));
     rows.extend(source_row(&recorded));
+    if recorded.is_disconnected() {
+        let at = recorded.position().as_secs_f64();
+        rows.push(("link", json!(at), format!("lost at {}, and not back", clock(at))));
+    }
     // The row of the clock has those that were set back.
     let faults = [
         stamps.fault("stamp", clock_steps.len() as u64),
@@ -280,18 +285,24 @@ impl ScanTimes {
         self.span.map_or(Duration::ZERO, |span| span.last - span.first)
     }
 
+    /// Adds a gap if there was no scan up to here for too long.
+    fn add_gap(&mut self, position: Duration) {
+        let from = self.span.map_or(position, |span| span.last);
+        let (since, from) = (position.saturating_sub(from), from.as_secs_f64());
+        if since > self.longest {
+            self.gaps.push(Gap { from, seconds: since.as_secs_f64() });
+        }
+    }
+
     /// Adds a scan. `position` counts on a steady clock.
     pub(crate) fn add(&mut self, position: Duration, stamp: SystemTime) {
         self.scans += 1;
+        self.add_gap(position);
         let Some(span) = &mut self.span else {
             self.span = Some(ScanSpan { began: stamp, first: position, last: position, stamp });
             return;
         };
         let since = position.saturating_sub(span.last);
-        if since > self.longest {
-            let from = span.last.as_secs_f64();
-            self.gaps.push(Gap { from, seconds: since.as_secs_f64() });
-        }
         let seconds = difference(span.stamp, stamp) - since.as_secs_f64();
         if seconds.abs() > CLOCK_TOLERANCE {
             self.clock_steps.push(ClockStep { at: position.as_secs_f64(), seconds });

@@ -6,10 +6,9 @@ use crate::mcap::form::{Extent, record_head};
 use crate::mcap::{FILE_END, FOOTER_BYTES, Fields, MAGIC, MAX_CHUNK_BYTES, RECORD_HEAD, kind};
 
 impl Records {
-    /// Reads the end of the file, starting at the record that ends its data. Returns true if other readers can
-    /// find the messages with it: the summary is where the footer says, its checksum is right if it has one,
-    /// and nothing follows. Stays before what may be data: also at a record whose lengths do not prove that
-    /// it ends the data.
+    /// Reads the end of the file, starting at the record that ends its data. Returns true if other readers can find
+    /// the messages with it: the summary is where the footer says, its checksum is right if it has one, and nothing
+    /// follows. Stays before what may be data: also at a record whose lengths do not prove that it ends the data.
     pub(super) fn is_end_whole(&mut self, data_end: &Extent) -> Result<bool, RecordingError> {
         let window = &mut self.window;
         let mut at = if data_end.kind == kind::DATA_END { data_end.end } else { 0 };

@@ -259,8 +259,7 @@ impl Records {
         wrong.map_or(Ok(()), |reason| Err(self.damaged(reason)))
     }
 
-    /// Reads the record here, which ends the data of a file. If another file follows, skips to it and
-    /// returns true.
+    /// Reads the record here, which ends the data of a file. If another file follows, skips to it and returns true.
     fn end(&mut self, extent: &Extent, length: usize) -> Result<bool, RecordingError> {
         // The damaged kind of another record. Definitions may follow the end of the data, but no footer.
         let known = self.window.peek(length + 1)?.len();
