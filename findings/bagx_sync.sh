@@ -13,7 +13,7 @@ import os
 import re
 import subprocess
 
-from place import PLACE, compare, pypi
+from place import LASER_SCAN, LIMITS, PLACE, compare, pypi
 
 packages = pypi("bagx==0.6.0", "rosbags==0.11.9", "mcap==1.6.0", "mcap-ros2-support==0.6.0")
 from mcap_ros2.writer import Writer  # noqa: E402
@@ -21,16 +21,6 @@ from mcap_ros2.writer import Writer  # noqa: E402
 START = 1_700_000_000_000_000_000
 TENTH = 100_000_000
 LATE = 40_000_000
-LASER_SCAN = "\n".join([
-    "std_msgs/Header header",
-    *(f"float32 {name}" for name in ["angle_min", "angle_max", "angle_increment", "time_increment", "scan_time",
-                                     "range_min", "range_max"]),
-    "float32[] ranges", "float32[] intensities",
-    "=" * 80, "MSG: std_msgs/Header", "builtin_interfaces/Time stamp", "string frame_id",
-    "=" * 80, "MSG: builtin_interfaces/Time", "int32 sec", "uint32 nanosec",
-])
-LIMITS = {"angle_min": -1.5, "angle_max": 1.5, "angle_increment": 1.5, "scan_time": 0.1, "range_min": 0.02,
-          "range_max": 5.6}
 
 
 def verdict(first, second, measured=0, recorded=0, rear_period=TENTH):

@@ -14,6 +14,17 @@ from pathlib import Path
 
 PLACE = Path(tempfile.mkdtemp())
 atexit.register(shutil.rmtree, PLACE, ignore_errors=True)
+# Definition of the message, and what a scan of three points has besides its ranges.
+LASER_SCAN = "\n".join([
+    "std_msgs/Header header",
+    *(f"float32 {name}" for name in ["angle_min", "angle_max", "angle_increment", "time_increment", "scan_time",
+                                     "range_min", "range_max"]),
+    "float32[] ranges", "float32[] intensities",
+    "=" * 80, "MSG: std_msgs/Header", "builtin_interfaces/Time stamp", "string frame_id",
+    "=" * 80, "MSG: builtin_interfaces/Time", "int32 sec", "uint32 nanosec",
+])
+LIMITS = {"angle_min": -1.5, "angle_max": 1.5, "angle_increment": 1.5, "scan_time": 0.1, "range_min": 0.02,
+          "range_max": 5.6}
 
 
 def pypi(*packages):

@@ -14,7 +14,7 @@ import json
 import os
 import subprocess
 
-from place import PLACE, compare, pypi
+from place import LASER_SCAN, LIMITS, PLACE, compare, pypi
 
 packages = pypi("baglint==0.2.1", "robot-triage==0.1.0", "rosbag-doctor==0.1.1", "bagx==0.6.0",
                 "backplane-tracecheck==0.3.0", "clockdoctor==0.1.0", "rosbags==0.11.9", "mcap==1.6.0",
@@ -22,16 +22,6 @@ packages = pypi("baglint==0.2.1", "robot-triage==0.1.0", "rosbag-doctor==0.1.1",
 from mcap_ros2.writer import Writer  # noqa: E402
 
 START = 1_700_000_000_000_000_000
-LASER_SCAN = "\n".join([
-    "std_msgs/Header header",
-    *(f"float32 {name}" for name in ["angle_min", "angle_max", "angle_increment", "time_increment", "scan_time",
-                                     "range_min", "range_max"]),
-    "float32[] ranges", "float32[] intensities",
-    "=" * 80, "MSG: std_msgs/Header", "builtin_interfaces/Time stamp", "string frame_id",
-    "=" * 80, "MSG: builtin_interfaces/Time", "int32 sec", "uint32 nanosec",
-])
-LIMITS = {"angle_min": -1.5, "angle_max": 1.5, "angle_increment": 1.5, "scan_time": 0.1, "range_min": 0.02,
-          "range_max": 5.6}
 
 
 def recording(name, front):
