@@ -57,8 +57,8 @@ impl Copied {
 /// files of a split recording as `inputs`, in any order: messages are copied in the order of their
 /// log times, and those of one file in the order of the file.
 ///
-/// Messages of all topics keep their bytes, times and numbers, whoever wrote them. Channels and schemas are numbered
-/// anew, and kept even without a message. Metadata are copied, attachments and non-standard records are not.
+/// Copies the messages of all topics with their bytes, times and sequence numbers. Gives channels and schemas new
+/// numbers, and keeps those without a message. Copies metadata, but no attachments and no private records.
 ///
 /// Three things are copied even if they lie before the part: the metadata and the sensor's version, so that you can
 /// replay the copy; and the last message of each topic that ROS 2 latches (durability `transient_local` in the

@@ -33,8 +33,8 @@ pub(super) struct Extent {
     /// End of the fields that this version of the format has.
     pub(super) fields: u64,
     pub(super) end: u64,
-    /// True if its fields count any bytes, those of a chunk its records, and its name begins with a letter
-    /// or sign. Zeros look like a record that counts none, and small numbers like one with another name.
+    /// True if one of its lengths is not 0, and its name begins with a printable character. A chunk must have
+    /// records, too. Zeros look like a record without lengths, and small numbers like an unprintable name.
     counts: bool,
     /// True for a chunk whose lengths agree: it begins here, even with more fields after its records.
     pub(super) is_chunk: bool,
