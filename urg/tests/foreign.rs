@@ -286,6 +286,15 @@ fn scans_that_end_before_the_bag_are_weak() {
     }
 }
 
+/// As of a recorder whose clock was set back by 6 s.
+#[test]
+fn log_times_that_were_set_back_are_no_gap_at_the_end() {
+    let file = Scratch::mcap("set-back");
+    write(&file, (0..80).chain(20..40).map(|tenth| scan(windows()[0], tenth)));
+    let check = run(&format!("check {}", file.path()), 0).stdout;
+    assert!(check.contains("ok      gaps     none\n"), "{check}");
+}
+
 #[test]
 fn scans_of_several_sensors_are_weak() {
     let file = Scratch::mcap("frames");
